@@ -1,1 +1,1 @@
-"""SUMO: engine process, networks, inputs, scenarios, demand, recordings and playback."""
+"""Run SUMO: engine process, networks, inputs, scenarios, demand, recordings and playback."""

@@ -1,4 +1,4 @@
-"""Where SUMO takes a vehicle out: ``arrivalPos`` and ``arrivalEdge``, which only a saved state tells."""
+"""Find where SUMO removes a vehicle: ``arrivalPos`` and ``arrivalEdge``, which only a saved state contains."""
 
 from __future__ import annotations
 
@@ -11,14 +11,27 @@ from xml.etree import ElementTree
 
 
 class ArrivalPlace(NamedTuple):
-    """The edge on which a vehicle leaves, and SUMO's lane position there [m]; inf: at the edge's end."""
+    """Where a vehicle leaves the network.
+
+    Attributes:
+        edge: The id of the edge.
+        position: SUMO's lane position there [m]; inf at the edge's end.
+    """
 
     edge: str
     position: float
 
 
 def arrival_attributes(api: Any, vehicle: str) -> Mapping[str, str]:
-    """What SUMO's state says of a vehicle; empty if it does not hold it."""
+    """Return the attributes of a vehicle in SUMO's saved state.
+
+    Args:
+        api: libsumo, or a connection with the same functions.
+        vehicle: The id of the vehicle.
+
+    Returns:
+        The attributes; empty if the state does not contain the vehicle.
+    """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "state.xml"
         api.simulation.saveState(str(file))
@@ -29,12 +42,21 @@ def arrival_attributes(api: Any, vehicle: str) -> Mapping[str, str]:
 
 
 def arrival(attributes: Mapping[str, str], route: Sequence[str], api: Any) -> ArrivalPlace:
-    """Where a vehicle with these attributes leaves its route, all of whose edges are given."""
+    """Return where a vehicle leaves its route.
+
+    Args:
+        attributes: Its attributes in SUMO's state (``arrival_attributes``).
+        route: All edges of its route.
+        api: libsumo, or a connection with the same functions.
+
+    Returns:
+        The place.
+    """
     index = attributes.get("arrivalEdge", "")
     edge = route[int(index)] if index.isdigit() and int(index) < len(route) else route[-1]
     text = attributes.get("arrivalPosRandomized", attributes.get("arrivalPos", "max"))
     try:
         position = float(text)
-    except ValueError:  # SUMO's words for the end of the edge
+    except ValueError:  # a word of SUMO's, which means the end of the edge
         return ArrivalPlace(edge, math.inf)
     return ArrivalPlace(edge, position if position >= 0 else position + float(api.lane.getLength(f"{edge}_0")))

@@ -1,8 +1,9 @@
-"""Seeded traffic for a network that has none: passenger cars from fringe to fringe, on quickest routes.
+"""Generate seeded traffic for a network that has none: passenger cars on quickest routes from fringe to fringe.
 
-Origins and destinations are fringe edges (nothing leads in, nothing leads out), drawn by lane count; departures are a
-jittered regular stream; the bytes are the same for the same arguments. Where such routes cover less than half of the
-network (a test track closed in itself), routes between inner edges are added.
+Origins and destinations are fringe edges: nothing leads into an origin, and nothing leads out of a destination. They
+are drawn in proportion to the number of lanes. Departures are a jittered regular stream. The same arguments give the
+same bytes. If these routes cover less than half of the network (such as a closed test track), routes between inner
+edges are added.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from xml.sax.saxutils import quoteattr
 
 from sumo_adv.errors import UsageError
 
-FREE_DEPARTURES_PER_MIN = 10.0  # departures per minute and origin lane without yielding: a third of a lane's capacity
-YIELDING_DEPARTURES_PER_MIN = 4.0  # the same where some route must yield or stop at lights
+FREE_DEPARTURES_PER_MIN = 10.0  # departures per minute and origin lane if no route yields: a third of a lane's capacity
+YIELDING_DEPARTURES_PER_MIN = 4.0  # the same if some route must yield or stop at lights
 MAX_DEFAULT_DEPARTURES_PER_MIN = 30.0  # departures per minute over the whole network
-INNER_DEPARTURES_PER_MIN = 12.0  # departures per minute over a network that has no fringe
-MIN_INNER_ROUTE_LENGTH_M = 150.0  # that a route between inner edges must have
-# of an edge that a vehicle has room to start on; shorter fringe edges are stumps of a cut map
+INNER_DEPARTURES_PER_MIN = 12.0  # departures per minute over a network without a fringe
+MIN_INNER_ROUTE_LENGTH_M = 150.0  # minimum length of a route between inner edges
+# Minimum length of an edge on which a vehicle can start; shorter fringe edges are stumps of a cut map.
 MIN_ORIGIN_LENGTH_M = 8.0
-MIN_FRINGE_SHARE = 0.5  # of the network's length that fringe routes must cover, else inner routes are added
+MIN_FRINGE_SHARE = 0.5  # inner routes are added if fringe routes cover a smaller share of the network's length
 MAX_PAIR_TRIES = 400
-DEMAND_PART_S = 120.0  # of traffic that are drawn at a time, so that a later end changes nothing before it
+DEMAND_PART_S = 120.0  # traffic is drawn in parts of this length, so that a later end does not change earlier traffic
 
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 
@@ -37,8 +38,14 @@ _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 
 @dataclass(frozen=True, slots=True)
 class Journey:
-    """One route: edge ids from first to last; ``lanes``: passenger lanes of its first edge (its share of the draw);
-    ``yields``: whether it must give way or obey lights somewhere; ``fringe``: whether it enters from outside."""
+    """One route.
+
+    Attributes:
+        edges: The edge ids from first to last.
+        lanes: The number of passenger lanes on the first edge, which is its weight when routes are drawn.
+        yields: Whether it must give way or obey lights somewhere.
+        fringe: Whether it enters from outside the network.
+    """
 
     edges: tuple[str, ...]
     lanes: int
@@ -49,10 +56,23 @@ class Journey:
 def generate_demand(
     network: Path, target: Path, *, seed: int, density: float | None = None, begin: float = 0.0, end: float
 ) -> Path:
-    """Writes random traffic for ``network`` to ``target`` and returns that path.
+    """Write random traffic for a network.
 
-    density: departures per minute over the whole network, None = ``default_density``; begin, end [s]: departures lie
-    between. Vehicles are ``bv0``, ``bv1``, ... Raises UsageError if no route exists or the times make no sense.
+    The vehicles are called ``bv0``, ``bv1`` and so on.
+
+    Args:
+        network: The network file.
+        target: The route file to write.
+        seed: The seed of the random draws.
+        density: Departures per minute over the whole network; None means ``default_density``.
+        begin: The time of the first departures [s].
+        end: The time before which all vehicles depart [s].
+
+    Returns:
+        The path ``target``.
+
+    Raises:
+        UsageError: No route exists, the density is not a positive number, or the end is not after the beginning.
     """
     if end <= begin:
         raise UsageError(f"Traffic cannot be generated from {begin:g} to {end:g} s: the end must be later.")
@@ -75,10 +95,21 @@ def generate_demand(
 
 
 def generate_flows(network: Path, target: Path, *, density: float | None = None, end: float) -> Path:
-    """Writes random traffic for ``network`` that differs with SUMO's seed, and returns its path.
+    """Write random traffic for a network that varies with SUMO's seed.
 
-    Departures are a Poisson process on each route, from 0 to ``end`` [s]. Desired speeds spread by 10 %.
-    density: as in :func:`generate`. Raises UsageError if no route exists or the density makes no sense.
+    Departures are a Poisson process on each route. The standard deviation of desired speeds is 10 %.
+
+    Args:
+        network: The network file.
+        target: The route file to write.
+        density: Departures per minute over the whole network; None means ``default_density``.
+        end: The time until which vehicles depart, from 0 [s].
+
+    Returns:
+        The path ``target``.
+
+    Raises:
+        UsageError: No route exists, or the density is not a positive number.
     """
     routes, per_minute = _routes_and_density(network, random.Random(0), density)
     lanes = sum(journey.lanes for journey in routes)
@@ -95,6 +126,7 @@ def generate_flows(network: Path, target: Path, *, density: float | None = None,
 
 
 def _routes_and_density(network: Path, draw: random.Random, density: float | None) -> tuple[list[Journey], float]:
+    """Return the routes and the departures per minute, checked."""
     if density is not None and not 0.0 < density < float("inf"):
         raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
     routes = journeys(network, draw)
@@ -102,15 +134,37 @@ def _routes_and_density(network: Path, draw: random.Random, density: float | Non
 
 
 def default_density(found: list[Journey]) -> float:
-    """Departures per minute that give lively but free traffic: in proportion to the lanes on which vehicles enter."""
+    """Return a density that gives lively but free traffic.
+
+    It is proportional to the number of lanes on which vehicles enter.
+
+    Args:
+        found: The routes of the network.
+
+    Returns:
+        Departures per minute over the whole network.
+    """
     lanes = {journey.edges[0]: journey.lanes for journey in found if journey.fringe}
     share = YIELDING_DEPARTURES_PER_MIN if any(journey.yields for journey in found) else FREE_DEPARTURES_PER_MIN
     return min(share * sum(lanes.values()), MAX_DEFAULT_DEPARTURES_PER_MIN) or INNER_DEPARTURES_PER_MIN
 
 
 def journeys(network: Path, draw: random.Random) -> list[Journey]:
-    """Quickest routes from fringe to fringe, and between inner edges where those cover too little (pairs are sampled
-    in a big network). Raises UsageError if there is none."""
+    """Return quickest routes from fringe to fringe.
+
+    Routes between inner edges are added if the fringe routes cover too little. In a big network, pairs of edges are
+    sampled.
+
+    Args:
+        network: The network file.
+        draw: The random generator.
+
+    Returns:
+        The routes.
+
+    Raises:
+        UsageError: There is no route, or the network file lacks data.
+    """
     import sumolib
 
     try:
@@ -132,7 +186,7 @@ def journeys(network: Path, draw: random.Random) -> list[Journey]:
 
 
 def _passable(neighbours: Any) -> list[Any]:
-    """An edge's neighbours (in sumolib's dict of connections) that passenger cars may use, turning round excepted."""
+    """Return an edge's neighbours that cars can reach without a u-turn, from sumolib's dict of connections."""
     return [
         edge
         for edge, connections in neighbours.items()
@@ -141,7 +195,7 @@ def _passable(neighbours: Any) -> list[Any]:
 
 
 def _pairs(origins: list[Any], destinations: list[Any], draw: random.Random) -> list[tuple[Any, Any]]:
-    """Pairs of different edges, all of them or a seeded sample of MAX_PAIR_TRIES."""
+    """Return all pairs of different edges, or a seeded sample if there are more than MAX_PAIR_TRIES."""
     if len(origins) * len(destinations) <= MAX_PAIR_TRIES:
         return [(a, b) for a in origins for b in destinations if a is not b or not _passable(a.getOutgoing())]
     drawn = [(draw.choice(origins), draw.choice(destinations)) for _ in range(MAX_PAIR_TRIES)]
@@ -149,7 +203,7 @@ def _pairs(origins: list[Any], destinations: list[Any], draw: random.Random) -> 
 
 
 def _routes(net: Any, pairs: list[tuple[Any, Any]], *, fringe: bool) -> list[Journey]:
-    """The quickest route of every pair that has one, is long enough and does not turn round on the way."""
+    """Return the quickest route of each pair, unless there is none, it is too short, or it contains a u-turn."""
     routes = []
     for origin, destination in pairs:
         route, _ = net.getFastestPath(origin, destination, vClass="passenger")
@@ -164,7 +218,7 @@ def _routes(net: Any, pairs: list[tuple[Any, Any]], *, fringe: bool) -> list[Jou
 
 
 def _departures(draw: random.Random, density: float, begin: float, end: float) -> list[float]:
-    """Times [s] in [begin, end) at ``density`` per minute, each moved by up to half a headway, in order."""
+    """Return ordered times in [begin, end) [s] at ``density`` per minute, each moved by up to one headway."""
     headway = 60.0 / density
     times: list[float] = []
     slot = begin

@@ -1,12 +1,12 @@
-"""The drivable area: where a vehicle may be without having left the road.
+"""The drivable area: where a vehicle can be without having left the road.
 
-A network may carry its area with it, as SUMO's generic parameter ``drivable`` of a junction: polygons in the network's
-own coordinates. So it travels with every copy of the file, and whatever reads the network has the same area. A network
-without it has the area of its lanes and junctions (``RoadMap.drivable``).
+A network may carry its area, as SUMO's generic parameter ``drivable`` of a junction. The value describes polygons in
+the network's coordinates. The area is therefore part of every copy of the file, and is the same for every reader. The
+area of a network without the parameter is that of its lanes and junctions (``RoadMap.drivable``).
 
     <param key="drivable" value="0,0 50,0 50,7 0,7|10,3 20,3 20,4 10,4;60,0 90,0 90,7 60,7"/>
 
-``;`` separates polygons. The first ring of a polygon is its outline, the rings after ``|`` are holes.
+``;`` separates polygons. The first ring of a polygon is its outline. The rings after ``|`` are holes.
 """
 
 from __future__ import annotations
@@ -25,14 +25,27 @@ DRIVABLE_KEY = "drivable"
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A part of the carriageway with a height. area: a shapely polygon [m]; line: ``(n, 3)`` [m], or ``(n, 2)`` at
-    height 0: the height at a point is that of the line where it is nearest."""
+    """A part of the carriageway with its height.
+
+    Attributes:
+        area: A shapely polygon [m].
+        line: A line ``(n, 3)`` [m]; the height at a point is that of the line where it is nearest. A line ``(n, 2)``
+            means height 0.
+    """
 
     area: Any
     line: Floats
 
     def height(self, x: Floats, y: Floats) -> Floats:
-        """The height [m] at points of any one shape."""
+        """Return the heights at points [m].
+
+        Args:
+            x: x of the points [m], of any shape.
+            y: y of the points [m], of the same shape.
+
+        Returns:
+            The heights [m], of the same shape.
+        """
         if self.line.shape[1] < 3:
             return np.zeros(np.shape(x))
         plan = self.line[:, :2]
@@ -40,14 +53,23 @@ class Surface:
 
 
 class Drivable:
-    """A test of points (arrays of any one shape) for lying on the carriageway; can be sent between processes.
+    """Tests whether points lie on the carriageway. The test can be sent between processes.
 
-    With heights [m] a point must also be on the layer of the carriageway there: no vehicle leaves a bridge for the road
-    below it.
+    If points have heights, each must also be on the layer of the carriageway there: no vehicle leaves a bridge for the
+    road below it.
+
+    Attributes:
+        area: The carriageway, a shapely geometry [m].
+        surfaces: The parts of the area with heights; empty if roads have no heights.
     """
 
     def __init__(self, area: Any, surfaces: tuple[Surface, ...] = ()) -> None:
-        """``surfaces``: the parts of the area, where roads have heights."""
+        """Prepare the test.
+
+        Args:
+            area: The carriageway, a shapely geometry [m].
+            surfaces: The parts of the area with heights, if roads have heights.
+        """
         from shapely import STRtree, prepare
 
         self.area, self.surfaces = area, surfaces
@@ -55,6 +77,16 @@ class Drivable:
         prepare(area)
 
     def __call__(self, x: Floats, y: Floats, z: Floats | None = None) -> Bools:
+        """Return whether points lie on the carriageway.
+
+        Args:
+            x: x of the points [m], of any shape.
+            y: y of the points [m], of the same shape.
+            z: Heights of the points [m], of the same shape; None ignores layers.
+
+        Returns:
+            The results, of the same shape.
+        """
         from shapely import contains_xy, points
 
         inside = np.asarray(contains_xy(self.area, x, y))
@@ -73,7 +105,7 @@ class Drivable:
 
 
 def area_text(area: Any) -> str:
-    """The parameter's value for shapely polygons [m], to the centimetre."""
+    """Return the parameter's value for an area of shapely polygons [m], to the centimetre."""
     return ";".join(
         "|".join(_ring_text(ring) for ring in (polygon.exterior, *polygon.interiors))
         for polygon in getattr(area, "geoms", [area])
@@ -85,8 +117,17 @@ def _ring_text(ring: Any) -> str:
 
 
 def area_of(texts: Iterable[str]) -> Any:
-    """The shapely polygons [m] that parameters' values describe; None if there is no value. Raises ValueError: a value
-    holds something else than rings of at least three points."""
+    """Return the area that values of the parameter describe.
+
+    Args:
+        texts: The values.
+
+    Returns:
+        A shapely geometry [m]; None if there are no values.
+
+    Raises:
+        ValueError: A value holds something else than rings of at least three points.
+    """
     from shapely import Polygon, make_valid, union_all
 
     polygons = []

@@ -1,8 +1,9 @@
-"""The vTypes of the ego: each type of the user's with the driver under test instead of its own.
+"""The vTypes of the ego: each vType of the user's, with the driver under test as its driver.
 
-The ego stays the vehicle that it is.  Of its own type it keeps class, size, capacities, desired speed, imperfection,
-emission class and all else; the car-following model is the driver's.  An attribute of the driver goes before the
-type's where somebody asked for it, else behind it; where neither says a value, SUMO's default for the class holds.
+The ego stays the same vehicle. It keeps its own type's class, size, capacities, desired speed, imperfection, emission
+class and all other attributes; only the car-following model is the driver's. An attribute of the driver overrides the
+type's if it was asked for. Otherwise, the type's value overrides the driver's. If neither gives a value, SUMO's default
+for the class holds.
 """
 
 from __future__ import annotations
@@ -16,25 +17,39 @@ from sumo_adv.simulation.permissions import CAR
 from sumo_adv.simulation.scan import parse_xml
 
 EGO_TYPE = "sumo_adv_ego"
-"""The type of an ego whose own type no file defines; before a ``:`` and the own type's name, the type of any other."""
+"""The vType of an ego whose own type no file defines. For any other ego, the name is followed by ``:`` and the name of
+its own type.
+"""
 BUILT_IN_TYPES = {
     "DEFAULT_VEHTYPE": CAR, "DEFAULT_TAXITYPE": "taxi", "DEFAULT_BIKETYPE": "bicycle", "DEFAULT_RAILTYPE": "rail",
 }  # fmt: skip
-"""Types of SUMO that no file defines, and their classes."""
+"""The types that SUMO defines itself, and their classes."""
 
 
 @dataclass(slots=True)
 class VehicleType:
-    """A ``vType`` of a file: its attributes, and the values of its ``param`` elements by key."""
+    """A ``vType`` of a file.
+
+    Attributes:
+        attributes: Its attributes, without the id.
+        parameters: The values of its ``param`` elements by key.
+    """
 
     attributes: dict[str, str]
     parameters: dict[str, str] = field(default_factory=dict)
 
 
 def vehicle_types(files: Iterable[Path]) -> dict[str, VehicleType]:
-    """The vTypes of route and additional files by id, with those that SUMO has by itself.
+    """Return the vTypes of route and additional files, and SUMO's built-in ones.
 
-    Raises UsageError: a file is damaged.
+    Args:
+        files: The files.
+
+    Returns:
+        The types by id.
+
+    Raises:
+        UsageError: A file is damaged.
     """
     types = {name: VehicleType({"vClass": vclass}) for name, vclass in BUILT_IN_TYPES.items()}
     for file in files:
@@ -44,7 +59,7 @@ def vehicle_types(files: Iterable[Path]) -> dict[str, VehicleType]:
 
 def _read(file: Path, types: dict[str, VehicleType]) -> None:
     """Add the vTypes of a file."""
-    within: list[VehicleType] = []  # the vType that has begun
+    within: list[VehicleType] = []  # the vType whose element is open
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "vType":
@@ -62,17 +77,20 @@ def _read(file: Path, types: dict[str, VehicleType]) -> None:
 
 
 def ego_types_xml(driver: Mapping[str, str], defaults: frozenset[str], types: Mapping[str, VehicleType]) -> str:
-    """The ``vType`` elements of an ego of any of these types.
+    """Return ``vType`` elements for an ego of any of these types.
 
     Args:
         driver: vType attributes of the driver under test.
-        defaults: those of them that nobody asked for.
-        types: the types that the ego may have, by id.
+        defaults: The names of those attributes that were not asked for.
+        types: The types that the ego may have, by id.
+
+    Returns:
+        The XML elements.
     """
     elements = [_element(EGO_TYPE, {"vClass": CAR, "speedDev": "0", **driver}, {})]
     behind = {name: value for name, value in driver.items() if name in defaults and name in NOISE}
     given = {name: value for name, value in driver.items() if name not in defaults}
-    if "speedFactor" in given:  # it is meant as it is, not as the middle of a spread
+    if "speedFactor" in given:  # the value is exact, not the mean of a distribution
         given = {"speedDev": "0", **given}
     for name, own in types.items():
         elements.append(_element(f"{EGO_TYPE}:{name}", {**behind, **own.attributes, **given}, own.parameters))
@@ -80,10 +98,13 @@ def ego_types_xml(driver: Mapping[str, str], defaults: frozenset[str], types: Ma
 
 
 NOISE = frozenset({"sigma", "sigmaleader", "sigmagap", "sigmaerror"})
-"""Imperfections that a driver under test has only where its own type says so: SUMO's defaults for them are not zero."""
+"""Imperfections that a driver under test has only if its own type sets them, because SUMO's defaults for them are not
+zero.
+"""
 
 
 def _element(name: str, attributes: Mapping[str, str], parameters: Mapping[str, str]) -> str:
+    """Return a ``vType`` element."""
     text = " ".join(f"{k}={quoteattr(v)}" for k, v in attributes.items())
     inner = "".join(f"<param key={quoteattr(k)} value={quoteattr(v)}/>" for k, v in parameters.items())
     return f"<vType id={quoteattr(name)} {text}>{inner}</vType>"

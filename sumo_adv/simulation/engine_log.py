@@ -1,4 +1,7 @@
-"""What the engine process prints: SUMO's words and tracebacks go into a file, and those of attempts into another."""
+"""Collect what the engine process prints.
+
+SUMO's messages and tracebacks go into one file. What attempts print goes into another.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from pathlib import Path
 
 from sumo_adv.simulation.warnings_log import warnings_in
 
-MAX_ASIDE_BYTES = 1 << 20  # of what attempts have printed, after which their file begins anew
-MAX_SAID_CHARACTERS = 300  # of SUMO's words in a sentence
+MAX_ASIDE_BYTES = 1 << 20  # size at which the file for the output of attempts is emptied
+MAX_SAID_CHARACTERS = 300  # maximum length of SUMO's text in a message
 ERROR = "Error: "
 
 
@@ -19,23 +22,28 @@ class EngineLog:
     """The front's handle of the two files.
 
     Attributes:
-        file: The file of SUMO's words and tracebacks.
-        aside: The file of what attempts print.
+        file: The file of SUMO's messages and tracebacks.
+        aside: The file for the output of attempts.
     """
 
     def __init__(self, folder: Path) -> None:
+        """Create both files.
+
+        Args:
+            folder: Where the files are created.
+        """
         self.file, self.aside = folder / "log", folder / "aside"
         self.file.touch()
         self.aside.touch()
-        self._earlier = 0  # bytes of the file that belong to earlier episodes
+        self._earlier = 0  # size of the part of the file that belongs to earlier episodes [bytes]
 
     def begin_episode(self) -> None:
-        """Let what is printed from now on belong to a new episode."""
+        """Start a new episode: ``said`` and ``warnings`` cover only what is printed from now on."""
         self._earlier = self.file.stat().st_size
         self.aside.write_bytes(b"")
 
     def said(self) -> str:
-        """Return what was printed in this episode: SUMO's words and tracebacks, then the words of attempts."""
+        """Return what was printed in this episode: SUMO's messages and tracebacks, then the output of attempts."""
         apart = self.aside.read_bytes() if self.aside.is_file() else b""
         return (self.file.read_bytes()[self._earlier :] + apart).decode(errors="replace")
 
@@ -44,17 +52,32 @@ class EngineLog:
         return warnings_in(self.file.read_bytes()[self._earlier :].decode(errors="replace"))
 
     def last_words(self) -> str:
-        """Return SUMO's last error, or the last line that was printed, in brackets; empty without any."""
+        """Return SUMO's last error or, without one, the last line that was printed.
+
+        Returns:
+            The text in brackets after a space; empty if nothing was printed.
+        """
         lines = [line for line in self.said().splitlines() if line.strip()]
         errors = [line.removeprefix(ERROR) for line in lines if line.startswith("Error:")] or lines
         return f" ({errors[-1][:MAX_SAID_CHARACTERS]})" if errors else ""
 
 
 class ProcessOutput:
-    """The two files in the engine process, whose standard output and error go into the first one from now on."""
+    """The two files in the engine process.
+
+    Standard output and standard error of the process go into the first file from now on.
+    """
 
     def __init__(self, file: Path, aside: Path) -> None:
-        """Raises FileNotFoundError: the front was interrupted and has removed the files."""
+        """Open the files and redirect the output.
+
+        Args:
+            file: The file of SUMO's messages and tracebacks.
+            aside: The file for the output of attempts.
+
+        Raises:
+            FileNotFoundError: The front was interrupted and has removed the files.
+        """
         self._files = (file, aside)
         words = os.open(file, os.O_WRONLY | os.O_APPEND)
         _Aside.file = os.open(aside, os.O_WRONLY | os.O_APPEND)
@@ -63,7 +86,7 @@ class ProcessOutput:
         os.dup2(words, 2)
 
     def sizes(self) -> list[int]:
-        """Return how many bytes each file has."""
+        """Return the size of each file [bytes]."""
         return [file.stat().st_size for file in self._files]
 
     def since(self, sizes: list[int]) -> str:
@@ -73,22 +96,22 @@ class ProcessOutput:
 
 
 def last_error(words: str) -> str:
-    """Return SUMO's last error among what was printed; empty without one."""
+    """Return SUMO's last error in what was printed; empty without one."""
     errors = [line.removeprefix(ERROR) for line in words.splitlines() if line.startswith(ERROR)]
     return errors[-1] if errors else ""
 
 
 class _Aside:
-    """The file of this engine process for what SUMO prints of attempts and repetitions; None elsewhere."""
+    """The descriptor of the file for what attempts and repetitions print; None outside an engine process."""
 
     file: int | None = None
 
 
 @contextmanager
 def aside() -> Iterator[None]:
-    """Keep apart what SUMO prints within it: it belongs to an attempt, or repeats what SUMO has printed before.
+    """Redirect what SUMO prints within this context to a separate file.
 
-    Its warnings are none of the episode's.
+    Use it for attempts and for runs that repeat earlier messages, so that their warnings do not count for the episode.
     """
     if _Aside.file is None:
         yield

@@ -1,4 +1,4 @@
-"""The engine process itself: a loop that calls its worker's methods for the front."""
+"""The engine process: a loop that calls its worker's methods for the front."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def serve(
     make_worker: Callable[[list[Connection]], object], control: Connection, slots: list[Connection],
     log: tuple[Path, Path], note: Path, front: Connection,
 ) -> None:  # fmt: skip
-    """Do what the front calls, one method of the worker after the other; never returns.
+    """Call the methods of the worker that the front names, one after the other. Never returns.
 
     Args:
         make_worker: Makes the worker from ``slots``.
@@ -27,7 +27,7 @@ def serve(
         slots: The connections on which forks ask the front.
         log: The files of ``engine_log.py:EngineLog``.
         note: The file of the process's ``Watch``.
-        front: Closes when the front's process ends.
+        front: A connection that closes when the front's process ends.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C and SIGTERM are left to the front
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -35,14 +35,14 @@ def serve(
     try:
         output = ProcessOutput(*log)
         keep(Watch(note))
-    except FileNotFoundError:  # the front was interrupted and has removed it
+    except FileNotFoundError:  # the front was interrupted and has removed the files
         os._exit(0)
     worker = make_worker(slots)
     while True:
         try:
             method, arguments, named = control.recv()
         except EOFError:
-            os._exit(0)  # nothing is left to write, and an interpreter that ends in good order keeps the front waiting
+            os._exit(0)  # nothing is left to write, and a regular exit of the interpreter keeps the front waiting
         sizes = output.sizes()
         try:
             reply = ("value", getattr(worker, method)(*arguments, **named))
@@ -56,7 +56,7 @@ def serve(
 
 
 def _with_words(error: SumoAdvError, words: str) -> SumoAdvError:
-    """Put SUMO's last error into the sentence: SUMO says what is wrong on its error output only."""
+    """Add SUMO's last error to the message, because SUMO says what is wrong only on its error output."""
     said = last_error(words)
     if isinstance(error, SimulationError) and said and said not in str(error):
         return SimulationError(f"{str(error).rstrip('.')}: {said.strip()[:MAX_SAID_CHARACTERS]}")

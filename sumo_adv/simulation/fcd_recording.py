@@ -1,9 +1,9 @@
-"""Floating car data of SUMO (``--fcd-output``) as arrays in the coordinates of its network.
+"""Read SUMO's floating car data (``--fcd-output``) as arrays in the coordinates of its network.
 
-``x``, ``y`` are front bumpers, ``angle`` degrees clockwise from north; a ``person`` stands at its middle. A person in a
-vehicle has the vehicle's place, and is left out as long as it is in there. Times are seconds, or ``h:m:s`` with
-``--human-readable-time``. Places may be those of ``--fcd-output.geo`` and ``--fcd-output.utm``: which they are shows at
-the ego, which must be near the lane that the recording says it is on.
+``x`` and ``y`` are front bumpers, and ``angle`` is in degrees clockwise from north. The place of a ``person`` is its
+middle. A person in a vehicle has the vehicle's place, and is left out while it rides. Times are seconds, or ``h:m:s``
+with ``--human-readable-time``. Places may come from ``--fcd-output.geo`` or ``--fcd-output.utm``. The ego shows which
+it is, because it must be near the lane that the recording names.
 """
 
 from __future__ import annotations
@@ -25,18 +25,29 @@ from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.scan import parse_seconds, parse_xml, silent_copies
 from sumo_adv.simulation.sumo_states import PERSON
 
-MAX_RECORDING_TIME_S = 1e7  # about four months: of times in a recording
+MAX_RECORDING_TIME_S = 1e7  # maximum time in a recording: about four months
 NEEDED_ATTRIBUTES = ("x", "y", "angle", "speed")
 MUST_NAME = "--fcd-output.attributes must name x,y,angle,speed,type,lane"
 MAX_LANE_OFFSET_M = 20.0  # from a vehicle's front to the middle of its lane; a vehicle that overtakes is within 10
-MAX_COMPARED_STATES = 200  # states of the ego that are compared with its lanes
+MAX_COMPARED_STATES = 200  # maximum number of the ego's states that are compared with its lanes
 States = dict[float, dict[str, str]]  # attributes by time [s]
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedObject:
-    """One vehicle or person, arrays ``(n,)`` in order of time. x, y [m]: front bumper, of a person its middle; angle
-    [degrees] clockwise from north; speed [m/s]; lanes: ids, empty where it is on none; kind: its vType, or empty."""
+    """One vehicle or person. Arrays have shape ``(n,)``, in order of time.
+
+    Attributes:
+        name: The name of the object.
+        person: Whether it is a person.
+        kind: Its vType; empty if unknown.
+        time: Times [s].
+        x: x of the front bumper, or of a person's middle [m].
+        y: y of the same point [m].
+        angle: Angles clockwise from north [degrees].
+        speed: Speeds [m/s].
+        lanes: Lane ids; an empty string off all lanes.
+    """
 
     name: str
     person: bool
@@ -51,22 +62,34 @@ class RecordedObject:
 
 @dataclass(frozen=True, slots=True)
 class FcdRecording:
-    """All objects by name. ``notes``: sentences on what was converted or left out."""
+    """All objects of a recording.
+
+    Attributes:
+        objects: The objects by name.
+        notes: Sentences on what was converted or left out.
+    """
 
     objects: Mapping[str, RecordedObject]
     notes: tuple[str, ...] = ()
 
 
 def read_recording(path: Path) -> FcdRecording:
-    """The objects of a recording, in the coordinates that it has.
+    """Read the objects of a recording, in the coordinates of the file.
 
-    Raises UsageError: it is damaged or no FCD, lacks an attribute, or holds times out of order.
+    Args:
+        path: The file.
+
+    Returns:
+        The recording.
+
+    Raises:
+        UsageError: The file is damaged or is no FCD, lacks an attribute, or has times out of order.
     """
     vehicles: dict[str, States] = {}
     persons: dict[str, States] = {}
     riding: set[str] = set()
     containers: set[str] = set()
-    places: set[tuple[str | None, str | None]] = set()  # of the vehicles of the present timestep
+    places: set[tuple[str | None, str | None]] = set()  # places of the vehicles in the present timestep
     times: list[float] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -105,15 +128,17 @@ def read_recording(path: Path) -> FcdRecording:
 
 
 def some(names: Sequence[str]) -> str:
-    """The first names, for a sentence."""
+    """Return the first five names, for a sentence."""
     return f"{', '.join(names[:5])}{' ..' if len(names) > 5 else ''}"
 
 
 def _no_fcd(path: Path, why: str) -> UsageError:
+    """Return the error that the file is no FCD."""
     return UsageError(f"{path} is no FCD of SUMO ({why}); write it with sumo --fcd-output.")
 
 
 def _time(path: Path, attributes: Mapping[str, str]) -> float:
+    """Return the time of a timestep [s]."""
     if "time" not in attributes:
         raise _no_fcd(path, "a timestep has no time")
     time = parse_seconds(path, "timestep", attributes["time"])
@@ -123,6 +148,7 @@ def _time(path: Path, attributes: Mapping[str, str]) -> float:
 
 
 def _object(path: Path, name: str, states: States, *, person: bool) -> RecordedObject:
+    """Return the states of one object as arrays."""
     columns: dict[str, Floats] = {}
     for key in NEEDED_ATTRIBUTES:
         try:
@@ -138,7 +164,16 @@ def _object(path: Path, name: str, states: States, *, person: bool) -> RecordedO
 
 
 def check_recording(path: Path, recording: FcdRecording, sizes: Mapping[str, tuple[float, float]]) -> None:
-    """Raises UsageError: motion that cannot be right (``consistency.py``). ``sizes``: length and width [m] by name."""
+    """Refuse a recording with impossible motion (``consistency.py``).
+
+    Args:
+        path: The file, for messages.
+        recording: The recording.
+        sizes: Length and width by name [m].
+
+    Raises:
+        UsageError: Some motion is impossible.
+    """
     motions = (
         GivenMotion(o.name, "pedestrian" if o.person else "vehicle", o.time, o.x, o.y, o.angle, o.speed, *sizes[o.name],
                SUMO_DEGREES)
@@ -152,9 +187,20 @@ def check_recording(path: Path, recording: FcdRecording, sizes: Mapping[str, tup
 
 
 def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap, ego: str) -> FcdRecording:
-    """The recording in the coordinates of ``network``.
+    """Convert a recording to the coordinates of a network.
 
-    Raises UsageError: the ego is on no lane of it, or far from the lanes that it is on, in whatever coordinates.
+    Args:
+        path: The file of the recording, for messages.
+        recording: The recording.
+        network: The network file.
+        road: The network.
+        ego: The name of the ego.
+
+    Returns:
+        The recording, with a note on the conversion if there was one.
+
+    Raises:
+        UsageError: The ego is on no lane of the network, or far from its recorded lanes in all supported coordinates.
     """
     me = recording.objects[ego]
     if not any(me.lanes):
@@ -170,7 +216,7 @@ def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap
     if _from_lanes(unshifted.objects[ego], road) <= MAX_LANE_OFFSET_M:
         note = "Places of --fcd-output.utm are moved by the network's offset."
         moved = dict(unshifted.objects)
-        for name, o in recording.objects.items():  # SUMO 1.28 writes persons in the network's coordinates nevertheless
+        for name, o in recording.objects.items():  # SUMO 1.28 always writes persons in the network's coordinates
             if o.person and _apart(o, moved[ego]) < _apart(moved[name], moved[ego]):
                 moved[name] = o
         return FcdRecording(moved, (*recording.notes, note))
@@ -191,12 +237,12 @@ def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap
 
 
 def _apart(a: RecordedObject, b: RecordedObject) -> float:
-    """Distance of the first places [m]."""
+    """Return the distance between the first places of two objects [m]."""
     return math.hypot(float(a.x[0] - b.x[0]), float(a.y[0] - b.y[0]))
 
 
 def _from_lanes(o: RecordedObject, road: RoadMap) -> float:
-    """Median distance [m] to the lanes that the recording names."""
+    """Return the median distance to the lanes that the recording names [m]."""
     from shapely import LineString, Point
 
     on = [k for k, lane in enumerate(o.lanes) if lane in road.lanes]
@@ -206,12 +252,12 @@ def _from_lanes(o: RecordedObject, road: RoadMap) -> float:
 
 
 def _places(recording: FcdRecording) -> Floats:
-    """All places ``(n, 2)``, object by object."""
+    """Return all places ``(n, 2)``, object by object."""
     return np.concatenate([np.column_stack([o.x, o.y]) for o in recording.objects.values()])
 
 
 def _moved(recording: FcdRecording, places: Floats) -> FcdRecording:
-    """The recording with other places, in the order of :func:`_places`."""
+    """Return the recording with other places, in the order of :func:`_places`."""
     ends = np.cumsum([len(o.time) for o in recording.objects.values()])[:-1]
     parts = np.split(places, ends)
     moved = {
@@ -222,7 +268,7 @@ def _moved(recording: FcdRecording, places: Floats) -> FcdRecording:
 
 
 def _location(network: Path) -> tuple[Floats, str]:
-    """A network's offset ``(2,)`` [m] and its projection, ``!`` without one."""
+    """Return a network's offset ``(2,)`` [m] and its projection, ``!`` without one."""
     found: list[tuple[Floats, str]] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -235,9 +281,10 @@ def _location(network: Path) -> tuple[Floats, str]:
 
 
 def _projected(network: Path, lon_lat: Floats) -> Floats:
-    """Places in the network ``(n, 2)`` [m] of longitudes and latitudes, as SUMO itself converts them.
+    """Convert longitudes and latitudes to places in the network ``(n, 2)`` [m], as SUMO does.
 
-    Raises SimulationError: SUMO does not load the network, or already runs in this process.
+    Raises:
+        SimulationError: SUMO does not load the network, or already runs in this process.
     """
     libsumo = load_libsumo()
     try:

@@ -1,4 +1,4 @@
-"""Floating car data (SUMO's ``--fcd-output``) as a scenario: the recording, and the routes that were driven."""
+"""Convert SUMO's floating car data (``--fcd-output``) to a scenario with the recording and the driven routes."""
 
 from __future__ import annotations
 
@@ -29,14 +29,19 @@ from sumo_adv.simulation.scenario import DEFAULT_WARM_UP_S, NETWORK_FILE, ROUTES
 from sumo_adv.simulation.sumo_states import headings_of
 from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
 
-MAX_RECORDED_STATES = 20_000_000  # of all objects at all times: about 700 MB
-PREFERRED_MOVEMENTS = ("straight", "right", "left", "u-turn")  # in the order in which a route goes on
-FCD_ROUTE_EXTENSION_M = 500.0  # of road behind the recording's end: half a minute in town, more than an attack takes
+MAX_RECORDED_STATES = 20_000_000  # maximum number of states, over all objects and times: about 700 MB
+PREFERRED_MOVEMENTS = ("straight", "right", "left", "u-turn")  # order in which routes are extended
+FCD_ROUTE_EXTENSION_M = 500.0  # length of road after the recording's end: half a minute in town, longer than an attack
 
 
 @dataclass(frozen=True, slots=True)
 class ImportedFcd:
-    """objects: their number; notes: sentences on what was converted, left out or taken for granted."""
+    """The result of a conversion.
+
+    Attributes:
+        objects: The number of objects.
+        notes: Sentences on what was converted, left out or assumed.
+    """
 
     objects: int
     notes: tuple[str, ...]
@@ -50,13 +55,22 @@ def write_scenario(
     types: Sequence[Path] = (),
     warm_up: float = DEFAULT_WARM_UP_S,
 ) -> ImportedFcd:
-    """Network, tracks, routes and scenario into ``folder``.
+    """Write a scenario with its network, tracks and routes.
 
-    ``types``: files with the vTypes of the vehicles (else SUMO's 5 by 1.8 m). ``warm_up`` [s]: how long
-    the recording moves all vehicles after the ego came.
+    Args:
+        folder: Where the files are written.
+        recording: The FCD file.
+        network: The network file.
+        ego: The name of the ego.
+        types: Files with the vTypes of the vehicles. Vehicles of unknown types get SUMO's 5 by 1.8 m.
+        warm_up: How long the recording moves all vehicles after the ego appears [s].
 
-    Raises UsageError: a file that is damaged or no FCD, motion that cannot be right, an ego that is not in it, never
-    on a lane, or gone before it can be driven.
+    Returns:
+        The number of objects, and notes on the conversion.
+
+    Raises:
+        UsageError: A file is damaged or no FCD; some motion is impossible; the ego is not in the recording, never on a
+            lane outside junctions, or gone before it can be driven.
     """
     recorded, road = read_recording(recording), read_network(network)
     vehicles = [o.name for o in recorded.objects.values() if not o.person]
@@ -85,7 +99,7 @@ def write_scenario(
 
 
 def _sizes(recorded: FcdRecording, sizes: Mapping[str, Size]) -> tuple[dict[str, Size], list[str]]:
-    """Length and width [m] by name of the object, and the vTypes of which no file says a size."""
+    """Return length and width by object [m], and the vTypes whose size no file gives."""
     known: dict[str, Size] = {}
     unknown: dict[str, None] = {}
     for name, o in recorded.objects.items():
@@ -97,7 +111,7 @@ def _sizes(recorded: FcdRecording, sizes: Mapping[str, Size]) -> tuple[dict[str,
 
 
 def _said(unknown: Sequence[str]) -> list[str]:
-    """What is taken for granted of vehicles of unknown types."""
+    """Return notes on what is assumed for vehicles of unknown types."""
     if not unknown:
         return []
     of = f"the types {some(unknown)}" if any(unknown) else "vehicles whose type the recording does not say"
@@ -107,6 +121,7 @@ def _said(unknown: Sequence[str]) -> list[str]:
 
 
 def _log(recording: Path, recorded: FcdRecording, sizes: Mapping[str, Size]) -> TrackLog:
+    """Return the recording as tracks on an even time grid."""
     objects = recorded.objects
     times = np.unique(np.concatenate([o.time for o in objects.values()]))
     if (steps_over(times) + 1) * len(objects) > MAX_RECORDED_STATES:
@@ -121,6 +136,7 @@ def _log(recording: Path, recorded: FcdRecording, sizes: Mapping[str, Size]) -> 
 
 
 def _track(o: RecordedObject, size: Size, grid: Floats) -> LoggedTrack:
+    """Return one object as a track of box centres on the time grid."""
     step = grid[1] - grid[0] if len(grid) > 1 else 1.0
     at = np.rint((o.time - grid[0]) / step).astype(np.intp)
     valid = np.zeros(len(grid), dtype=bool)
@@ -134,8 +150,11 @@ def _track(o: RecordedObject, size: Size, grid: Floats) -> LoggedTrack:
 
 
 def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[str, ...]:
-    """The edges driven on outside junctions, as long as each leads to the next. A vehicle that is still there at the
-    ``end`` [s] of the recording has not arrived: its route goes on, straight where that is possible."""
+    """Return the edges that an object drove outside junctions, as long as each leads to the next.
+
+    A vehicle that is still there at the ``end`` [s] of the recording has not arrived. Its route is extended, straight
+    if possible.
+    """
     route: list[str] = []
     for name in o.lanes:
         lane = road.lanes.get(name)
@@ -157,12 +176,13 @@ def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[str, ...]:
 
 
 def _next_edges(edge: str, road: RoadMap) -> list[str]:
-    """Edges that one leads to: straight ones first, then right, left and back."""
+    """Return the edges that an edge leads to: straight ones first, then right, left and back."""
     found = {(road.lanes[c.to].edge, c.movement) for lane in road.edges[edge] for c in road.lanes[lane].connections}
     return [to for to, _ in sorted(found, key=lambda each: (PREFERRED_MOVEMENTS.index(each[1]), each[0]))]
 
 
 def _scenario(network: str, ego: str, begin: float, warm_up: float) -> str:
+    """Return the text of the scenario file."""
     return f"""\
 schema = 1
 network = "{network}"

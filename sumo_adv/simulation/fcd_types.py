@@ -1,4 +1,4 @@
-"""How large the vehicles of a recording are: SUMO's sizes of its classes, and the vTypes of files."""
+"""The sizes of recorded vehicles: SUMO's sizes of its classes, and the vTypes of files."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ CLASS_SIZES: Mapping[str, Size] = {
     "ship": (17.0, 4.0), "subway": (109.5, 3.0), "trailer": (16.5, 2.55), "tram": (22.0, 2.4), "truck": (7.1, 2.4),
     "wheelchair": (1.2, 0.72),
 }  # fmt: skip
-"""Length and width [m] where a vType of the class names none (SUMO's ``SUMOVTypeParameter::VClassDefaultValues``);
-vehicles of all other classes are 5 by 1.8 m."""
+"""Length and width [m] if a vType of the class gives none (SUMO's ``SUMOVTypeParameter::VClassDefaultValues``).
+Vehicles of all other classes are 5 by 1.8 m.
+"""
 DEFAULT_TYPES: Mapping[str, Size] = {
     "DEFAULT_VEHTYPE": CAR_SIZE, "DEFAULT_TAXITYPE": CAR_SIZE, "DEFAULT_BIKETYPE": CLASS_SIZES["bicycle"],
     "DEFAULT_PEDTYPE": CLASS_SIZES["pedestrian"], "DEFAULT_RAILTYPE": CLASS_SIZES["rail"],
@@ -29,7 +30,17 @@ DEFAULT_TYPES: Mapping[str, Size] = {
 
 
 def read_sizes(files: Sequence[Path]) -> dict[str, Size]:
-    """Length and width [m] by vType, SUMO's own included. Raises UsageError: a vType's size is no size."""
+    """Return length and width by vType [m], including SUMO's built-in types.
+
+    Args:
+        files: Files with vTypes.
+
+    Returns:
+        The sizes.
+
+    Raises:
+        UsageError: A file is damaged, or the size of a vType is invalid.
+    """
     sizes = dict(DEFAULT_TYPES)
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -49,6 +60,17 @@ def read_sizes(files: Sequence[Path]) -> dict[str, Size]:
 
 
 def size_of(kind: str, vehicle: str, sizes: Mapping[str, Size]) -> Size | None:
-    """The size of a vehicle of the vType ``kind``; None if no file has it. TraCI gives a vehicle whose type it changes
-    a copy of it that is called ``type@vehicle``."""
+    """Return the size of a vehicle by its vType.
+
+    If TraCI changes the type of a vehicle, it gives the vehicle a copy called ``type@vehicle``, which has the same
+    size.
+
+    Args:
+        kind: The vType.
+        vehicle: The id of the vehicle.
+        sizes: The known sizes (``read_sizes``).
+
+    Returns:
+        Length and width [m]; None if the type is unknown.
+    """
     return sizes.get(kind) or sizes.get(kind.removesuffix(f"@{vehicle}"))

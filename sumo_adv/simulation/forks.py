@@ -1,4 +1,4 @@
-"""Attempts in forks of the engine process: bit-identical to the process itself, and started in milliseconds."""
+"""Run attempts in forks of the engine process, which are bit-identical to it and start in milliseconds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sumo_adv.simulation.watch import WATCH_INTERVAL_S, Call, Watch, keep
 
 
 def can_fork() -> bool:
-    """Whether attempts can be forked on this system."""
+    """Return whether attempts can be forked on this system."""
     return hasattr(os, "fork") and sys.platform.startswith("linux")
 
 
@@ -29,15 +29,25 @@ def in_forks(
     works: Sequence[Callable[[], Any]], reloaded: Callable[[Callable[[], Any]], Callable[[], Any]] | None = None,
     lost: Callable[[str], Any] | None = None, memory: float = 0.0,
 ) -> list[Any]:  # fmt: skip
-    """Do each piece of work in a fork of its own, at the same time; results in order.
+    """Do each piece of work in its own fork, all at the same time.
 
-    reloaded: adds to a piece of work that it loads the simulation again first. A fork that dies is repeated with it.
-        A fork is not repeated if it was killed because code of others did not return in time.
-    lost: makes a result of the sentence that says why a fork died, if it dies again when it is repeated.
-    memory: what a fork may use beyond what it begins with [MiB]; 0: without bound.
+    A fork that dies is repeated if ``reloaded`` is given, unless it was killed because third-party code did not return
+    in time.
 
-    Raises SimulationError: a fork died, and again when it was repeated, and there is no ``lost``; or its work failed.
-    DriverError if code of others ran in it then.
+    Args:
+        works: The pieces of work.
+        reloaded: Changes a piece of work so that it loads the simulation again first.
+        lost: Makes a result from the message that says why a fork died. It is called if the fork has died for the last
+            time.
+        memory: What a fork may allocate beyond what it starts with [MiB]; 0 means without limit.
+
+    Returns:
+        The results, in the order of ``works``.
+
+    Raises:
+        SimulationError: A fork died for the last time and ``lost`` is None, or SUMO failed in it.
+        DriverError: A fork died or was killed in third-party code, and ``lost`` is None.
+        SumoAdvError: A piece of work raised it.
     """
     ends = _forked(works, memory)
     if reloaded is not None:
@@ -49,8 +59,14 @@ def in_forks(
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    """What a fork wrote, nothing if it died; its exit code, negative for the signal that killed it; the call of code of
-    others that it died in, and whether it was killed because that was late."""
+    """How a fork ended.
+
+    Attributes:
+        data: What it wrote; empty if it died.
+        status: Its exit code; negative for the signal that killed it.
+        call: The watched call in which it died.
+        late: Whether it was killed because that call was overdue.
+    """
 
     data: bytes
     status: int
@@ -59,9 +75,10 @@ class _End:
 
 
 def _forked(works: Sequence[Callable[[], Any]], memory: float) -> list[_End]:
+    """Run each piece of work in a fork, and wait until all have ended."""
     children = []
     repair_process()
-    gc.freeze()  # a collection in a child would write to every object's page, which the system then copies
+    gc.freeze()  # a collection in a child would write to the page of every object, and the system would copy them
     for work in works:
         watch = Watch()
         inlet, outlet = os.pipe()
@@ -82,12 +99,16 @@ def _forked(works: Sequence[Callable[[], Any]], memory: float) -> list[_End]:
 
 
 def _has_ended(pid: int) -> bool:
+    """Return whether a child process has ended, without collecting its exit status."""
     return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
 
 
 def _all_written(children: Mapping[int, tuple[int, Watch]], late: set[int]) -> dict[int, bytes]:
-    """What comes out of each pipe until its child closes it, or has ended and a process that it left behind holds it. A
-    child whose call is overdue is killed, and noted."""
+    """Return what each child writes to its pipe.
+
+    Reading ends when the child closes the pipe, or has ended while a process that it left behind holds the pipe. A
+    child whose call is overdue is killed and added to ``late``.
+    """
     parts: dict[int, list[bytes]] = {inlet: [] for inlet in children}
     open_ones = set(children)
     while open_ones:
@@ -114,7 +135,7 @@ def _all_written(children: Mapping[int, tuple[int, Watch]], late: set[int]) -> d
 
 @contextmanager
 def _bounded(memory: float) -> Iterator[None]:
-    """Bound what this process may allocate beyond what it has [MiB], where the system can; 0: do not."""
+    """Limit what this process may allocate beyond what it has [MiB], if the system supports it; 0 means no limit."""
     status = Path("/proc/self/status")
     if not memory or not status.is_file():
         yield
@@ -132,7 +153,7 @@ def _bounded(memory: float) -> Iterator[None]:
 
 
 def _child(work: Callable[[], Any], outlet: int, memory: float) -> None:
-    """Never returns: whatever goes wrong, a fork must not go on as a second engine."""
+    """Do the work, send its result and exit. Never returns, because a fork must not continue as a second engine."""
     try:
         try:
             with aside(), _bounded(memory):
@@ -149,6 +170,7 @@ def _child(work: Callable[[], Any], outlet: int, memory: float) -> None:
 
 
 def _result(end: _End, lost: Callable[[str], Any] | None, *, repeated: bool) -> Any:
+    """Return the result of a fork, or raise its error."""
     if end.data:
         kind, value = pickle.loads(end.data)
         if kind == "error":
@@ -161,7 +183,7 @@ def _result(end: _End, lost: Callable[[str], Any] | None, *, repeated: bool) -> 
 
 
 def _death(end: _End, *, repeated: bool) -> SimulationError:
-    """Why a fork ended without a result."""
+    """Return the error that says why a fork ended without a result."""
     again = ", also when the simulation was loaded again and the attempt repeated" if repeated else ""
     if end.call is not None and end.late:
         return end.call.too_late()

@@ -1,8 +1,8 @@
-"""The options of SUMO that may be given, with the type of each value; everything else is the program's own, or refused.
+"""List SUMO's options that users may give, with the type of each value. Others belong to the program or are refused.
 
-One list for every way in: a .sumocfg, ``--option``, settings, a case, a manifest. It holds long names alone, and none
-that reads or writes a file, opens a port or loads a state. An option of SUMO that is not here has no place in a run
-until somebody has looked at what it does.
+This one list serves every way to give options: a .sumocfg, ``--option``, settings, a case, a manifest. It holds only
+long names. None of these options reads or writes a file, opens a port or loads a state. An option that is missing here
+must be reviewed before it is added.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import Literal
 from sumo_adv.errors import UsageError, nearest
 
 Kind = Literal["switch", "number", "whole number", "time", "text"]
-MAX_OPTION_NUMBER = 1e9  # of a number or time that an option may have
-MAX_OPTION_INTEGER = 1_000_000  # SUMO reserves memory by some of them
+MAX_OPTION_NUMBER = 1e9  # maximum absolute value of a number or time
+MAX_OPTION_INTEGER = 1_000_000  # SUMO allocates memory in proportion to some of them
 MAX_OPTION_CHARACTERS = 10_000
-VARIABLE, HOME = "${", "~"  # SUMO puts in an environment variable, and the home at a start, also on its command line
+VARIABLE, HOME = "${", "~"  # SUMO replaces an environment variable, and the home at a start, even on its command line
 
 _BY_KIND: Mapping[Kind, str] = {
     "switch": """
@@ -109,14 +109,21 @@ _BY_KIND: Mapping[Kind, str] = {
     """,
 }
 OPTION_TYPES: Mapping[str, Kind] = {name: kind for kind, names in _BY_KIND.items() for name in names.split()}
-"""Long name of each option that may be given -> the type of its value."""
+"""The long name of each option that may be given, with the type of its value."""
 _SWITCH = re.compile(r"1|0|yes|no|true|false|on|off|x|t|f", re.IGNORECASE | re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d{1,40}\.?\d{0,40}|\.\d{1,40})([eE][+-]?\d{1,3})?", re.ASCII)
 _CLOCK = re.compile(r"(\d{1,9}:)?\d{1,9}:\d{1,9}:\d{1,9}(\.\d{1,9})?", re.ASCII)
 
 
 def check(options: Mapping[str, str]) -> None:
-    """Raises UsageError for an option that may not be given, or whose value is not of its type."""
+    """Refuse options that may not be given, or whose value has the wrong type.
+
+    Args:
+        options: The values by long name.
+
+    Raises:
+        UsageError: An option is refused.
+    """
     for name, value in options.items():
         if name not in OPTION_TYPES:
             raise UsageError(
@@ -128,6 +135,7 @@ def check(options: Mapping[str, str]) -> None:
 
 
 def _fits(kind: Kind, value: str) -> bool:
+    """Return whether a value has the type of an option."""
     if kind == "switch":
         return _SWITCH.fullmatch(value) is not None
     if kind == "text":

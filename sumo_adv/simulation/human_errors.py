@@ -1,4 +1,4 @@
-"""Human errors of SUMO's drivers: which are possible now, how one begins, how it goes on, how it ends.
+"""Human errors of SUMO's drivers: which errors are possible now, and how one begins, continues and ends.
 
 ===================  ================================================================================================
 error                what the driver does, and by which means of SUMO
@@ -11,7 +11,7 @@ priority             enters the junction though it must give way: speed mode wit
 red light            enters the junction at red: speed mode without right of way and lights
 ===================  ================================================================================================
 
-A driver makes one error at a time. After it SUMO drives on as before.
+A driver makes one error at a time. After the error, SUMO drives the vehicle as before.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from sumo_adv.simulation.network import is_left_hand
 from sumo_adv.simulation.simulation import Simulation
 from sumo_adv.simulation.sumo_states import RawState
 
-# speed modes: bit 3 is right of way before, 5 on the junction, 4 lights
+# Speed modes: bit 3 is right of way before the junction, bit 5 is right of way on it, bit 4 is lights.
 PRIORITY_IGNORING_SPEED_MODE = 55
 LIGHTS_IGNORING_SPEED_MODE = 39
 UNRULED_LANE_MODE, SUMO_LANE_MODE = 0, 1621  # lane change modes
-MIN_ERRING_SPEED_M_S = 2.0  # below it a driver that keeps its speed or its lane does nothing wrong
-STOP_LINE_DECISION_DISTANCE_M = 40.0  # before a stop line, from where a driver decides to go on
-LATE_REACTION_S, LATE_BRAKING_M_S2 = 1.5, 6.0  # s, m/s2 of late braking
-DRIFT_DISTANCE_M = 2.0  # sideways: in a lane of 3.5 m a car of 1.8 m then is 1.15 m beyond the line
+MIN_ERRING_SPEED_M_S = 2.0  # a slower driver does nothing wrong by keeping its speed or lane
+STOP_LINE_DECISION_DISTANCE_M = 40.0  # before a stop line; from there on, a driver can decide to ignore it
+LATE_REACTION_S, LATE_BRAKING_M_S2 = 1.5, 6.0  # reaction time and braking of late braking
+DRIFT_DISTANCE_M = 2.0  # lateral; in a lane of 3.5 m, a car of 1.8 m is then 1.15 m beyond the line
 
 
 class ErrorKind(StrEnum):
@@ -50,7 +50,7 @@ class ErrorKind(StrEnum):
 
 
 ERROR_SIDES = {ErrorKind.CHANGE_LEFT: 1, ErrorKind.DRIFT_LEFT: 1, ErrorKind.CHANGE_RIGHT: -1, ErrorKind.DRIFT_RIGHT: -1}
-"""Lanes to the left that an error leads to."""
+"""The change of lane that an error leads to, in lanes to the left."""
 ERROR_DURATIONS_S = {
     ErrorKind.INATTENTION: 3.0, ErrorKind.LATE_BRAKING: 4.0, ErrorKind.CHANGE_LEFT: 4.0, ErrorKind.CHANGE_RIGHT: 4.0,
     ErrorKind.DRIFT_LEFT: 4.0, ErrorKind.DRIFT_RIGHT: 4.0, ErrorKind.PRIORITY: 6.0, ErrorKind.RED_LIGHT: 6.0,
@@ -62,7 +62,16 @@ SPEED_KEEPING_ERRORS = frozenset(
 
 
 def speed_in_error(kind: ErrorKind, begun: float, after: float) -> float:
-    """The speed [m/s] of a driver that keeps its speed ``begun`` [m/s], ``after`` [s] the error began."""
+    """Return the speed of a driver during an error that keeps its speed.
+
+    Args:
+        kind: The error.
+        begun: The speed at which the error began [m/s].
+        after: The time since then [s].
+
+    Returns:
+        The speed [m/s]. It equals ``begun``, except that late braking reduces it after the reaction time.
+    """
     if kind is ErrorKind.LATE_BRAKING and after > LATE_REACTION_S:
         return max(0.0, begun - LATE_BRAKING_M_S2 * (after - LATE_REACTION_S))
     return begun
@@ -70,7 +79,13 @@ def speed_in_error(kind: ErrorKind, begun: float, after: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Begun:
-    """An error: since when [s], at which speed [m/s]."""
+    """An error that has begun.
+
+    Attributes:
+        kind: The error.
+        since: When it began [s].
+        speed: The driver's speed at that time [m/s].
+    """
 
     kind: ErrorKind
     since: float
@@ -78,19 +93,37 @@ class Begun:
 
 
 class HumanErrors:
-    """The errors of one simulation. Make it anew when the simulation is loaded again."""
+    """The errors of one simulation. Create a new object when the simulation is reloaded.
+
+    Attributes:
+        active: The present error of each vehicle that is making one.
+        last: The latest error of each vehicle, including errors that are over.
+    """
 
     def __init__(self, simulation: Simulation) -> None:
+        """Start without errors.
+
+        Args:
+            simulation: The simulation.
+        """
         self._simulation = simulation
         self._api: Any = simulation.api
         self._hand = -1 if is_left_hand(simulation.spec.network) else 1  # SUMO counts lanes from the outer side
-        self._lanes: dict[str, int] = {}  # of an edge
-        self._lines: dict[str, Centreline | None] = {}  # of the lanes that lead on; None where no stop line is
+        self._lanes: dict[str, int] = {}  # number of lanes by edge
+        self._lines: dict[str, Centreline | None] = {}  # lines by lane; None if the lane leads to no other lane
         self.active: dict[str, Begun] = {}
-        self.last: dict[str, Begun] = {}  # the latest error of each vehicle, also if it is over
+        self.last: dict[str, Begun] = {}  # the latest error of each vehicle, even if it is over
 
     def possible(self, vehicle: str, raw: RawState) -> tuple[ErrorKind, ...]:
-        """The errors that a driver can begin now, in a state ``raw`` of the newest snapshot."""
+        """Return the errors that a driver can begin now.
+
+        Args:
+            vehicle: The id of the vehicle.
+            raw: Its state in the newest snapshot.
+
+        Returns:
+            The errors; empty if the driver is making one.
+        """
         lane, kinds = raw[4], list[ErrorKind]()
         if vehicle in self.active:
             return ()
@@ -117,6 +150,7 @@ class HumanErrors:
         return tuple(kinds)
 
     def _at_line(self, vehicle: str) -> tuple[ErrorKind, ...]:
+        """Return the errors that are possible at the stop line ahead."""
         links = self._api.vehicle.getNextLinks(vehicle)
         state = links[0][5] if links else "M"
         if state in "ruyY":
@@ -124,7 +158,13 @@ class HumanErrors:
         return (ErrorKind.PRIORITY,) if state in "m=swgZ" else ()
 
     def begin(self, vehicle: str, kind: ErrorKind, speed: float) -> None:
-        """Have a driver make an error from the next step on. ``speed``: its own [m/s]."""
+        """Make a driver commit an error from the next step on.
+
+        Args:
+            vehicle: The id of the vehicle.
+            kind: The error.
+            speed: Its present speed [m/s].
+        """
         v, side, lane = self._api.vehicle, self._hand * ERROR_SIDES.get(kind, 0), self._api.lane
         self.active[vehicle] = self.last[vehicle] = Begun(kind, self._simulation.time, speed)
         if kind in SPEED_KEEPING_ERRORS:
@@ -143,7 +183,7 @@ class HumanErrors:
             v.changeSublane(vehicle, side * (lane.getWidth(here) + lane.getWidth(there)) / 2)
 
     def before_step(self) -> None:
-        """Carry the errors on, and end each after its time."""
+        """Continue the active errors, and end those whose time is over. Call it before each step."""
         time, v = self._simulation.time, self._api.vehicle
         there = set(v.getIDList()) if self.active else set()
         for vehicle, error in list(self.active.items()):

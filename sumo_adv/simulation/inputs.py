@@ -1,7 +1,7 @@
-"""What a run may start from: a network, a SUMO configuration, a scenario, a map, or the name of a shipped one.
+"""What a run can start from: a network, a SUMO configuration, a scenario, a map, or the name of a shipped one.
 
-``load_input`` resolves and checks; whatever is wrong is a UsageError of one sentence before anything has begun. What is
-wrong with the files it names is found by ``scan.py``.
+``load_input`` resolves and checks the input. Every fault raises a UsageError of one sentence before anything starts.
+``scan.py`` finds the faults of the files that the input names.
 """
 
 from __future__ import annotations
@@ -25,13 +25,20 @@ _INPUT_SUFFIXES = (
     *sorted(MAPS, key=len, reverse=True),
     ".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml",
 )  # fmt: skip
-ROOT_ELEMENT_BYTES = 4096  # in which the root element of a CommonRoad scenario begins
+ROOT_ELEMENT_BYTES = 4096  # the root element of a CommonRoad scenario begins within these first bytes
 
 
 @dataclass(frozen=True, slots=True)
 class EgoRoute:
-    """An ego of the scenario's own: edges from first to last, departure [s], and SUMO's departLane, departPos [m] and
-    departSpeed [m/s] values."""
+    """An ego that the scenario inserts.
+
+    Attributes:
+        edges: The edge ids from first to last.
+        depart: The departure [s].
+        lane: SUMO's departLane.
+        position: SUMO's departPos [m].
+        speed: SUMO's departSpeed [m/s].
+    """
 
     edges: tuple[str, ...]
     depart: float
@@ -42,7 +49,13 @@ class EgoRoute:
 
 @dataclass(frozen=True, slots=True)
 class WaymoSource:
-    """The Waymo record that an input was made of: its file, its id, the SHA-256 of its bytes in hex."""
+    """The Waymo record that an input was made from.
+
+    Attributes:
+        file: The file of the record.
+        id: The id of the record.
+        content: The SHA-256 of the record's bytes, in hex.
+    """
 
     file: Path
     id: str
@@ -51,15 +64,40 @@ class WaymoSource:
 
 @dataclass(frozen=True, slots=True)
 class RunInput:
-    """Everything a run needs to know about its input. Times are simulation times [s]; paths exist.
+    """Everything that a run needs to know about its input. Times are simulation times [s]. Paths exist.
 
-    density: departures per minute over the whole network, None = the default if ``routes`` is empty.
-    ego: an id in the demand, an EgoRoute, or None = to be chosen. trigger: a time, or "auto".
-    warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
-    candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
-    moves. seed, step_length [s], options: of the user's own simulation, None = this program's. notes: sentences about
-    what of it is not kept, or was converted. asked: what must be true of the attack; words: those that the scenario was
-    made of. conversion: of a map that was no SUMO network. waymo: the record that was converted.
+    Attributes:
+        name: The name of the input.
+        path: The file that was given.
+        network: The network file.
+        routes: The route files.
+        additional: The additional files.
+        begin: The time at which the simulation begins [s]; None means the default.
+        end: The time at which it ends [s]; None means the default.
+        density: Departures per minute over the whole network; None means the default if ``routes`` is empty.
+        demand_seed: The seed of generated traffic; None means the default.
+        ego: An id in the demand, or an EgoRoute; None means that the ego is chosen later.
+        ego_type: The vType of the ego.
+        ego_controller: The controller of the ego.
+        ego_parameters: Parameters of the controller.
+        ego_sensing: The sensors of the ego's driver.
+        trigger: A time [s], or "auto".
+        warm_up: The time after the ego's insertion during which no trigger is sought [s].
+        horizon: The horizon [s]; None means the default.
+        candidates: Vehicles that may attack; empty means no restriction.
+        supports: Vehicles that may support the attack; empty means no restriction.
+        intents: Intents that may be used; empty means no restriction.
+        label: The label of the scenario.
+        files: All files that a manifest must copy.
+        playback: What a log moves.
+        seed: The seed of the user's own simulation; None means this program's.
+        step_length: The step length of the user's own simulation [s]; None means this program's.
+        options: SUMO's options of the user's own simulation; None means this program's.
+        notes: Sentences on what of the user's simulation is not kept, or was converted.
+        asked: What must be true of the attack.
+        words: The description that the scenario was made from.
+        conversion: How a map was converted that is no SUMO network.
+        waymo: The Waymo record that was converted.
     """
 
     name: str
@@ -95,10 +133,17 @@ class RunInput:
     waymo: WaymoSource | None = None
 
     def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
-        """Return the settings that the input brings.
+        """Return the settings that the input implies.
 
-        They are the horizon, the sensors of the ego's driver, and level and number of adversaries of the attack that
-        the input asks for. Another goal among the settings that are ``named`` goes before the level."""
+        They are the horizon, the sensors of the ego's driver, and the level and number of adversaries of the attack
+        that the input asks for.
+
+        Args:
+            named: Names of settings that the user gave. If another goal is among them, it overrides the level.
+
+        Returns:
+            The settings by name.
+        """
         brought: dict[str, Any] = {"horizon": self.horizon}
         if self.ego_sensing is not None:
             brought["ego_sensing"] = self.ego_sensing.model_dump()
@@ -109,8 +154,17 @@ class RunInput:
 
 
 def load_input(path: Path) -> RunInput:
-    """The input at ``path``, or the shipped scenario or network of that name, checked. Raises UsageError for anything
-    missing, damaged, undrivable or mismatched."""
+    """Resolve and check an input.
+
+    Args:
+        path: A file, or the name of a shipped scenario or network.
+
+    Returns:
+        The input.
+
+    Raises:
+        UsageError: Something is missing, damaged, undrivable or mismatched.
+    """
     file = find_input(path)
     lower = file.name.lower()
     if ".tfrecord" in lower:
@@ -135,25 +189,27 @@ def load_input(path: Path) -> RunInput:
 
 
 def is_commonroad(path: Path) -> bool:
-    """Whether an XML file begins as a CommonRoad scenario does."""
+    """Return whether an XML file begins like a CommonRoad scenario."""
     if path.suffix.lower() != ".xml":
         return False
     try:
         with path.open("rb") as file:
             return b"<commonRoad" in file.read(ROOT_ELEMENT_BYTES)
-    except OSError:  # whoever reads it says why
+    except OSError:  # the code that reads it reports why
         return False
 
 
 def own_simulation(run_input: RunInput) -> dict[str, float | int]:
-    """The settings that the user's own simulation brings: ``seed`` and ``step_length``."""
+    """Return the settings of the user's own simulation that are given: ``seed`` and ``step_length``."""
     brought = {"seed": run_input.seed, "step_length": run_input.step_length}
     return {name: value for name, value in brought.items() if value is not None}
 
 
 def input_name(path: Path) -> str:
-    """The file's name without its known ending, ``crossing.net.xml.gz`` -> ``crossing``; its folder's if the file is
-    just a ``scenario.toml``."""
+    """Return a file's name without its known ending, such as ``crossing`` for ``crossing.net.xml.gz``.
+
+    A file called ``scenario.toml`` takes the name of its folder.
+    """
     if path.name == SCENARIO_FILE and path.resolve().parent.name:
         return path.resolve().parent.name
     for suffix in _INPUT_SUFFIXES:
@@ -163,7 +219,13 @@ def input_name(path: Path) -> str:
 
 
 def data_folder(name: str) -> Path:
-    """The shipped folder or file ``name`` (networks, memory_bank.sqlite, ...): of the package, else of the checkout."""
+    """Return a shipped folder or file (networks, memory_bank.sqlite, ...).
+
+    It is that of the package or, if the package has none, that of the checkout.
+
+    Raises:
+        UsageError: It is missing.
+    """
     package = Path(__file__).resolve().parent.parent
     for folder in (package / "data" / name, package.parent / name):
         if folder.exists():
@@ -172,17 +234,29 @@ def data_folder(name: str) -> Path:
 
 
 def shipped_files(folder: str, ending: str) -> list[str]:
-    """The names of what a shipped folder (``networks``, ``suites``) holds."""
+    """Return the names of the inputs in a shipped folder.
+
+    Args:
+        folder: The folder (``networks``, ``suites``).
+        ending: The ending of the files.
+
+    Returns:
+        The names without endings, sorted.
+    """
     return sorted(input_name(path) for path in data_folder(folder).glob(f"*{ending}"))
 
 
 def shipped_names() -> tuple[str, ...]:
-    """The names that ``load_input`` takes instead of a path: scenarios, then networks."""
+    """Return the names that ``load_input`` accepts instead of a path: scenarios, then networks."""
     return (*shipped_files("scenarios", ".toml"), *shipped_files("networks", ".net.xml"))
 
 
 def find_input(path: Path) -> Path:
-    """``path`` itself if it is a file, else the shipped scenario or network it names."""
+    """Return ``path`` if it is a file, and otherwise the shipped scenario or network that it names.
+
+    Raises:
+        UsageError: There is no such file or name.
+    """
     if path.is_file():
         return path
     shipped = _shipped(path)
@@ -195,7 +269,7 @@ def find_input(path: Path) -> Path:
 
 
 def _shipped(path: Path) -> Path | None:
-    """The shipped file for a bare name, ``networks/x.net.xml`` or ``scenarios/x.toml``; None if there is none."""
+    """Return the shipped file for a name, ``networks/x.net.xml`` or ``scenarios/x.toml``; None if there is none."""
     parts = path.parts
     for folder, ending in (("scenarios", ".toml"), ("networks", ".net.xml")):
         if len(parts) == 1 or (len(parts) == 2 and parts[0] == folder):
@@ -206,7 +280,7 @@ def _shipped(path: Path) -> Path | None:
 
 
 def _from_configuration(path: Path) -> RunInput:
-    """A run from a .sumocfg: its network, demand, additionals, begin, end and options."""
+    """Return the input of a .sumocfg: its network, demand, additional files, begin, end and options."""
     given = read_sumocfg(path)
     if not given.networks:
         raise UsageError(f"{path} names no network: it needs a net-file.")
@@ -221,7 +295,7 @@ def _from_configuration(path: Path) -> RunInput:
 
 
 def _from_scenario(path: Path) -> RunInput:
-    """A run from a scenario file, its demand and ids checked against one another."""
+    """Return the input of a scenario file, after checking its demand and ids against each other."""
     scenario = load_scenario(path)
     network = _named_network(path, scenario.network)
     routes, additional = scenario.demand.files, (*scenario.signals.files, *scenario.additional)
@@ -249,7 +323,7 @@ def _from_scenario(path: Path) -> RunInput:
 
 
 def _named_network(path: Path, network: Path) -> Path:
-    """The network of the scenario at ``path``: the file that it names, else the shipped one of that name."""
+    """Return the network file that a scenario names, or the shipped network of that name."""
     shipped = data_folder("networks") / f"{network.name}.net.xml"
     named = network.parent == path.parent and not network.suffix
     return shipped if named and not network.exists() and shipped.is_file() else network
@@ -264,7 +338,7 @@ def _or(value: float | None, default: float | None) -> float | None:
 
 
 def _ego(ego: Ego) -> str | EgoRoute | None:
-    """The ego as the run needs it: an id, a route with SUMO's defaults filled in, or None."""
+    """Return the ego as the run needs it: an id, a route with SUMO's defaults filled in, or None."""
     if not ego.route:
         return ego.id
     chosen = {"lane": ego.lane, "position": ego.position, "speed": ego.speed}
@@ -273,7 +347,7 @@ def _ego(ego: Ego) -> str | EgoRoute | None:
 
 
 def _scan_all(path: Path, network: Path, demand: tuple[Path, ...]) -> tuple[NetworkScan, tuple[DemandScan, ...]]:
-    """Scans the files that ``path`` names; a missing one or a demand for another network is a UsageError."""
+    """Scan the files that ``path`` names; refuse a missing file and a demand for another network."""
     for file in (network, *demand):
         if not file.is_file():
             trouble = "is a folder" if file.is_dir() else "is missing"
@@ -287,7 +361,7 @@ def _scan_all(path: Path, network: Path, demand: tuple[Path, ...]) -> tuple[Netw
 
 
 def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...], recorded: frozenset[str]) -> None:
-    """Raises UsageError if the scenario names a vehicle that neither its route files nor its tracks hold."""
+    """Raise UsageError if the scenario names a vehicle that neither its route files nor its tracks contain."""
     adversary = scenario.adversary
     named = {"ego": (scenario.ego.id,), "adversary candidate": adversary.candidates, "support": adversary.supports}
     for role, ids in named.items():

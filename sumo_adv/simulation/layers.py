@@ -1,17 +1,18 @@
-"""How high the lanes of a network are, so that a vehicle on a bridge and one below it are apart.
+"""The heights of a network's lanes, which keep a vehicle on a bridge apart from one below it.
 
-Every lane has a height at every place: the z of its shape. Where two lanes cross in plan within 3 m of height and the
-network does not join them there, one is a bridge whose height the network leaves out, and it is inferred. Heights are
-compared by ``geometry.same_layer`` alone.
+Every lane has a height at every place: the z of its shape. If two lanes cross in plan within 3 m of height and the
+network does not join them there, one of them is a bridge whose height the network omits, and its height is inferred.
+Only ``geometry.same_layer`` compares heights.
 
-A network that was converted from a record is a cut-out, in which lanes of one junction may not be joined: there nothing
-is inferred. Where its record has roads above one another, its lanes carry their heights as SUMO's generic parameter
-``heights``, a number [m] for each point of the shape, so that SUMO's own lengths stay those of the plan.
+A network that was converted from a record is a cut-out, in which lanes of one junction may not be joined. Nothing is
+inferred there. If its record has roads above one another, its lanes carry their heights as SUMO's generic parameter
+``heights``: a number [m] for each point of the shape. SUMO's own lengths thus remain those of the plan.
 
-Lanes are joined where a way of at most ``OVERPASS_DISTANCE_M`` along the network leads from one to the other: at a
-junction, at its pedestrian crossings, where a road was split. A bridge is raised to ``BRIDGE_CLEARANCE_M`` above the
-other road. Its ramps follow the network, so that what branches off a bridge comes down with it. They are
-``RAMP_LENGTH_M`` long, or shorter where they come to the road below."""
+Lanes count as joined if a way of at most ``OVERPASS_DISTANCE_M`` along the network leads from one to the other: at a
+junction, at its pedestrian crossings, or where a road was split. A bridge is raised to ``BRIDGE_CLEARANCE_M`` above the
+other road. Its ramps follow the network, so that roads that branch off a bridge descend with it. Ramps are
+``RAMP_LENGTH_M`` long, or shorter if they reach the road below earlier.
+"""
 
 from __future__ import annotations
 
@@ -29,21 +30,27 @@ from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.geometry import LAYER_HEIGHT_M, along, same_layer, stations
 
 HEIGHTS_KEY = "heights"
-BRIDGE_CLEARANCE_M = 6.0  # of an inferred bridge: a lorry is 4 m high, and a deck is thick
-OVERPASS_DISTANCE_M = 40.0  # along the network: no road climbs over another within less
-RAMP_LENGTH_M = 250.0  # along the network; the half at the bridge is level, which is further than a driver sees
-HEIGHT_SAMPLE_STEP_M = 5.0  # between the heights of a raised lane
-MAX_RAISING_ROUNDS = 20  # of raising bridges over bridges
-OFF_LANE_HEIGHT_DISTANCE_M = 10.0  # how far beside a lane a vehicle off all lanes is still taken to be at its height
-MAX_VEHICLE_STEP_M = 60.0  # of a vehicle: one that moves further in a step was put there
+BRIDGE_CLEARANCE_M = 6.0  # of an inferred bridge; a lorry is 4 m high, and a bridge deck is thick
+OVERPASS_DISTANCE_M = 40.0  # along the network; no road climbs over another within less
+RAMP_LENGTH_M = 250.0  # along the network; the half next to the bridge is level, which is farther than a driver sees
+HEIGHT_SAMPLE_STEP_M = 5.0  # between the points of a raised lane
+MAX_RAISING_ROUNDS = 20  # maximum number of rounds in which bridges are raised over bridges
+OFF_LANE_HEIGHT_DISTANCE_M = 10.0  # a vehicle off all lanes has the height of a lane within this distance
+MAX_VEHICLE_STEP_M = 60.0  # a vehicle that moves farther in one step was put there
 
 
 @dataclass(frozen=True, slots=True)
 class ElevatedLane:
     """A lane as this module needs it.
 
-    edge: its edge; shape: ``(n, 2)`` [m]; z: ``(n,)`` [m]; start, end: its junctions, the same for a lane within one;
-    rank: of two lanes that cross, the one of the higher rank is the bridge.
+    Attributes:
+        id: The id of the lane.
+        edge: The id of its edge.
+        shape: Its points, ``(n, 2)`` [m].
+        z: The heights of the points, ``(n,)`` [m].
+        start: The junction at its start; the same as ``end`` for a lane within a junction.
+        end: The junction at its end.
+        rank: Of two lanes that cross, the one with the higher rank is the bridge.
     """
 
     id: str
@@ -56,19 +63,28 @@ class ElevatedLane:
 
     @property
     def internal(self) -> bool:
-        """Whether it lies within a junction."""
+        """Whether the lane lies within a junction."""
         return self.edge.startswith(":")
 
     @property
     def length(self) -> float:
-        """Of its shape [m]."""
+        """The length of its shape [m]."""
         return float(stations(*self.shape.T)[-1])
 
 
 class Network:
-    """The way along a network from one place to another, in either direction of its lanes."""
+    """Measures distances along a network, in either direction of its lanes.
+
+    Attributes:
+        strips: The lanes by id.
+    """
 
     def __init__(self, strips: Iterable[ElevatedLane]) -> None:
+        """Index the lanes.
+
+        Args:
+            strips: The lanes; those of fewer than two points are left out.
+        """
         self.strips = {strip.id: strip for strip in strips if len(strip.shape) > 1}
         self._length = {name: strip.length for name, strip in self.strips.items()}
         self._onward: dict[str, list[tuple[str, float]]] = defaultdict(list)
@@ -78,7 +94,16 @@ class Network:
                 self._onward[strip.end].append((strip.start, self._length[name]))
 
     def from_place(self, lane: str, station: float, farthest: float) -> dict[str, float]:
-        """Metres from a place on a lane to the junctions within ``farthest`` (Dijkstra)."""
+        """Return the distances from a place to junctions along the network (Dijkstra).
+
+        Args:
+            lane: The id of the lane.
+            station: The place on it [m].
+            farthest: The maximum distance [m].
+
+        Returns:
+            The distance [m] to each junction within ``farthest``, by its id.
+        """
         strip, found = self.strips[lane], dict[str, float]()
         ends = [(0.0, strip.start)]
         if not strip.internal:
@@ -93,7 +118,16 @@ class Network:
         return found
 
     def to_place(self, distance: Mapping[str, float], lane: str, station: Any) -> Any:
-        """Metres to places on a lane, given those to junctions; inf where none is known."""
+        """Return the distances to places on a lane, given the distances to junctions.
+
+        Args:
+            distance: The distances to junctions [m] (``from_place``).
+            lane: The id of the lane.
+            station: The places on it [m], of any shape.
+
+        Returns:
+            The distances [m], of the same shape; inf if none is known.
+        """
         strip = self.strips[lane]
         to_start, to_end = (distance.get(junction, math.inf) for junction in (strip.start, strip.end))
         if strip.internal:
@@ -103,10 +137,14 @@ class Network:
 
 @dataclass(frozen=True, slots=True)
 class Hump:
-    """A bridge: it raises the roads around a place by ``height`` [m].
+    """An inferred bridge, which raises the roads around a place.
 
-    edge, at: the bridge's edge and the station [m] of the crossing; reach: metres along the network to where it raises
-    nothing; distance: those to the junctions within.
+    Attributes:
+        edge: The edge of the bridge.
+        at: The station of the crossing [m].
+        height: By how much it raises the crossing [m].
+        reach: The distance along the network at which it raises nothing [m].
+        distance: The distances to the junctions within reach [m].
     """
 
     edge: str
@@ -116,7 +154,16 @@ class Hump:
     distance: Mapping[str, float]
 
     def over(self, network: Network, lane: str, station: Floats) -> Floats:
-        """How high it raises a lane at stations [m]."""
+        """Return by how much the bridge raises a lane at stations [m].
+
+        Args:
+            network: The network.
+            lane: The id of the lane.
+            station: The stations [m].
+
+        Returns:
+            The heights [m], of the same shape.
+        """
         away = network.to_place(self.distance, lane, station)
         if network.strips[lane].edge == self.edge:
             away = np.minimum(away, np.abs(station - self.at))
@@ -125,23 +172,47 @@ class Hump:
 
 @dataclass(frozen=True)
 class Heights:
-    """The heights of a network's lanes. lines: by lane id the centreline ``(n, 3)`` [m]: x, y, z. inferred: whether
-    some are not the network's own."""
+    """The heights of a network's lanes.
+
+    Attributes:
+        network: The network.
+        lines: The centreline of each lane by id, ``(n, 3)`` [m].
+        inferred: Whether some heights are not the network's own.
+    """
 
     network: Network
     lines: Mapping[str, Floats]
     inferred: bool = False
 
     def at(self, lane: str, x: Any, y: Any) -> Any:
-        """The height [m] of a lane where it is nearest to (x, y): floats, or any shape."""
+        """Return the height of a lane where it is nearest to places.
+
+        Args:
+            lane: The id of the lane.
+            x: x of the places [m], a float or an array.
+            y: y of the places [m], of the same shape.
+
+        Returns:
+            The heights [m], of the same shape.
+        """
         line = self.lines[lane]
         return np.interp(along(line[:, :2], x, y), stations(*line[:, :2].T), line[:, 2])
 
     def follow(self, lane: str, x: float, y: float, before: tuple[float, float, float] | None) -> float:
-        """The height [m] of a vehicle at (x, y) that was at ``before`` a step ago.
+        """Return the height of a vehicle that moves.
 
-        It is that of SUMO's lane. SUMO may take a vehicle that is moved, or is off the road, to be on a lane above or
-        below it: then it is that of the lane near that continues its motion, or it stays.
+        It is the height of SUMO's lane. SUMO may assign a lane above or below to a vehicle that is moved or is off the
+        road. In that case, the height is that of a near lane that continues the vehicle's motion or, without such a
+        lane, the previous height.
+
+        Args:
+            lane: SUMO's lane of the vehicle; empty off all lanes.
+            x: The vehicle's x [m].
+            y: The vehicle's y [m].
+            before: Its x, y and height one step ago [m]; None if unknown.
+
+        Returns:
+            The height [m].
         """
         if before is not None and math.hypot(x - before[0], y - before[1]) > MAX_VEHICLE_STEP_M:
             before = None
@@ -155,7 +226,15 @@ class Heights:
         return best if same_layer(best, before[2]) else before[2]
 
     def along(self, points: Floats, z: float) -> Floats:
-        """A way through ``points`` ``(n, 2)`` [m] that begins at a height, with heights ``(n, 3)``."""
+        """Return a path with heights.
+
+        Args:
+            points: The path, ``(n, 2)`` [m].
+            z: The height at its beginning [m].
+
+        Returns:
+            The path, ``(n, 3)`` [m].
+        """
         heights, before = list[float](), None
         for x, y in points.tolist():
             heights.append(self.follow("", x, y, before or (x, y, z)))
@@ -163,7 +242,7 @@ class Heights:
         return np.column_stack([points, np.array(heights)])
 
     def beside(self, x: float, y: float) -> list[str]:
-        """Lanes within ``OFF_LANE_HEIGHT_DISTANCE_M`` of a point, nearest first."""
+        """Return the ids of lanes within ``OFF_LANE_HEIGHT_DISTANCE_M`` of a point, nearest first."""
         from shapely import Point, distance
 
         tree, names = self._tree
@@ -172,7 +251,20 @@ class Heights:
         return [names[i] for i in near[np.argsort(distance(tree.geometries[near], point), kind="stable")]]
 
     def way(self, lane: str, x: float, y: float, other: str, other_x: float, other_y: float, farthest: float) -> float:
-        """Metres along the network from a place on a lane to one on another, inf if they are more than ``farthest``."""
+        """Return the distance along the network between places on two lanes.
+
+        Args:
+            lane: The id of the first lane.
+            x: The x of the place on it [m].
+            y: The y of the place on it [m].
+            other: The id of the second lane.
+            other_x: The x of the place on it [m].
+            other_y: The y of the place on it [m].
+            farthest: The maximum distance to a junction on the way [m].
+
+        Returns:
+            The distance [m]; inf if no junction within ``farthest`` leads there.
+        """
         if lane not in self.lines or other not in self.lines:
             return math.inf
         shapes = (self.network.strips[name].shape for name in (lane, other))
@@ -189,9 +281,18 @@ class Heights:
 
 
 def covers(line: Floats, width: float, x: Floats | float, y: Floats | float, z: Floats | float) -> Bools:
-    """Whether a lane passes over points of any one shape at heights ``z`` [m]; ``line``: ``(n, 2)`` or ``(n, 3)`` [m].
+    """Return whether a lane passes over points. A lane without heights covers nothing.
 
-    A lane without heights covers nothing."""
+    Args:
+        line: The lane's centreline, ``(n, 2)`` or ``(n, 3)`` [m].
+        width: Its width [m].
+        x: x of the points [m], of any shape.
+        y: y of the points [m], of the same shape.
+        z: Heights of the points [m], of the same shape.
+
+    Returns:
+        The results, of the same shape.
+    """
     if line.shape[1] < 3 or not (line[:, 2].max() - np.min(z) > LAYER_HEIGHT_M):
         return np.zeros(np.shape(x), bool)
     station, own = along(line[:, :2], x, y), stations(*line[:, :2].T)
@@ -200,8 +301,15 @@ def covers(line: Floats, width: float, x: Floats | float, y: Floats | float, z: 
 
 
 def lane_heights(strips: Iterable[ElevatedLane], *, infer: bool = True) -> Heights | None:
-    """The heights of a network's lanes; None where all is flat and no lane crosses another without a junction. infer:
-    such a lane is a bridge."""
+    """Return the heights of a network's lanes.
+
+    Args:
+        strips: The lanes.
+        infer: Whether a lane that crosses another one without a junction is taken for a bridge.
+
+    Returns:
+        The heights; None if all lanes are flat and there is no inferred bridge.
+    """
     network = Network(strips)
     humps = _bridges(network) if infer else []
     levels = {float(z) for strip in network.strips.values() for z in (strip.z.min(), strip.z.max())}
@@ -211,7 +319,7 @@ def lane_heights(strips: Iterable[ElevatedLane], *, infer: bool = True) -> Heigh
 
 
 def pass_over(lines: Sequence[Floats]) -> bool:
-    """Whether some of the lines ``(n, 3)`` [m] cross in plan on different layers."""
+    """Return whether some of the lines ``(n, 3)`` [m] cross in plan on different layers."""
     from shapely import STRtree, linestrings
 
     plans = [linestrings(line[:, :2]) for line in lines]
@@ -227,7 +335,7 @@ def pass_over(lines: Sequence[Floats]) -> bool:
 
 
 def _line(network: Network, strip: ElevatedLane, humps: Sequence[Hump]) -> Floats:
-    """The centreline with heights ``(n, 3)``; it gets more points only where a bridge raises it."""
+    """Return the centreline with heights ``(n, 3)``, with more points only if a bridge raises it."""
     own = stations(*strip.shape.T)
     station = np.union1d(own, np.arange(0.0, float(own[-1]), HEIGHT_SAMPLE_STEP_M))
     raised = np.max([hump.over(network, strip.id, station) for hump in humps], axis=0) if humps else 0.0 * station
@@ -238,11 +346,11 @@ def _line(network: Network, strip: ElevatedLane, humps: Sequence[Hump]) -> Float
 
 
 def _bridges(network: Network) -> list[Hump]:
-    """The bridges whose height the network leaves out: raised until no two roads that cross are at one height."""
+    """Return the bridges whose height the network omits, raised until no two crossing roads are at one height."""
     humps: list[Hump] = []
 
     def height(lane: str, station: float) -> tuple[float, float]:
-        """Of a lane: its own, and what the bridges add."""
+        """Return a lane's own height, and what the bridges add."""
         strip, place = network.strips[lane], np.array([station])
         own = float(np.interp(station, stations(*strip.shape.T), strip.z))
         return own, max((float(hump.over(network, lane, place)[0]) for hump in humps), default=0.0)
@@ -264,8 +372,7 @@ def _bridges(network: Network) -> list[Hump]:
 
 
 def _crossings(network: Network) -> Iterator[tuple[tuple[str, float], tuple[str, float]]]:
-    """Places at which two lanes of one height cross in plan though the network does not join them there: both lanes,
-    and the stations [m] on them."""
+    """Yield both lanes and stations [m] where two lanes at one height cross in plan without being joined there."""
     from shapely import LineString, STRtree
 
     strips = list(network.strips.values())

@@ -1,4 +1,4 @@
-"""What a map of another format holds, as its reader hands it to the conversion."""
+"""The content of a map of another format, as its reader passes it to the conversion."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class MapContent:
     """A map that has been read and checked.
 
     Attributes:
-        kinds: the kind of each road by its id; of OpenDRIVE, of each lane by ``ROAD_LANE``.
-        roads: number of roads.
-        left_hand: whether its traffic drives on the left.
-        lost: numbers of things that no network of SUMO has, by kind.
-        write: writes the map to a file, in the words that netconvert understands.
+        kinds: The kind of each road by its id. For OpenDRIVE, the kind of each lane by ``ROAD_LANE``.
+        roads: The number of roads.
+        left_hand: Whether traffic drives on the left.
+        lost: The number of things that a SUMO network cannot represent, by kind.
+        write: Writes the map to a file, in terms that netconvert understands.
     """
 
     kinds: Mapping[str, str]
@@ -30,7 +30,16 @@ class MapContent:
 
 
 def parse_map(path: Path, start: Callable[[str, dict[str, str]], None], root: str) -> None:
-    """Parse a file that must begin with the element ``root``. Raises UsageError like ``scan.parse_xml``."""
+    """Parse a file that must begin with a certain element.
+
+    Args:
+        path: The file.
+        start: Receives the tag and attributes of an element that starts.
+        root: The name of the first element.
+
+    Raises:
+        UsageError: The first element differs, or ``scan.parse_xml`` raises it.
+    """
     seen = False
 
     def checked(tag: str, attributes: dict[str, str]) -> None:

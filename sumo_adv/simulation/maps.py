@@ -1,8 +1,8 @@
-"""Maps of other formats as SUMO networks: OpenDRIVE and OpenStreetMap, converted by SUMO's ``netconvert``.
+"""Convert maps of other formats to SUMO networks: OpenDRIVE and OpenStreetMap, by SUMO's ``netconvert``.
 
-A conversion is kept in the user's cache under the map's content, so that nothing is converted twice; a run's folder
-holds a copy of the network like that of any other input. ``MapConversion`` counts what the network has, and names what
-it lacks."""
+A conversion is kept in the user's cache under the map's content, so that no map is converted twice. A run's folder
+holds a copy of the network, as for any other input. ``MapConversion`` says what the network contains and what it lacks.
+"""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from sumo_adv.simulation.warnings_log import WarningKind, kinds_of, said_of, war
 OPENDRIVE = (".xodr", ".xodr.gz")
 OPENSTREETMAP = (".osm", ".osm.gz", ".osm.xml", ".osm.xml.gz")
 MAPS = (*OPENDRIVE, *OPENSTREETMAP)
-PACKED = (".osm.pbf", ".osm.bz2", ".pbf")  # that netconvert does not read
-CONVERSION_TIMEOUT_S = 600.0  # of one conversion: a town takes seconds
-MAX_CACHED_MAPS = 100  # conversions in the cache; the oldest go first
-MAX_NAMED_WAY_KINDS = 6  # of lost ways that a line names
+PACKED = (".osm.pbf", ".osm.bz2", ".pbf")  # formats that netconvert does not read
+CONVERSION_TIMEOUT_S = 600.0  # of one conversion; a town takes seconds
+MAX_CACHED_MAPS = 100  # conversions in the cache; the oldest are removed first
+MAX_NAMED_WAY_KINDS = 6  # maximum number of lost kinds that a sentence names
 CONVERSION_FILE = "conversion.json"
-# what netconvert reads and writes
+# Files that netconvert reads and writes.
 MAP_FILE = "map.xml"
 OWN_TYPES_FILE = "own.typ.xml"
 MADE_NETWORK_FILE = "made.net.xml"
@@ -50,15 +50,18 @@ COMMON = (
     "--keep-edges.by-vclass", "passenger", "--ramps.guess", "--junctions.join", "--output.original-names",
     "--xml-validation", "never",
 )  # fmt: skip
-"""For driving: only roads for cars (with their sidewalks and cycle lanes), ramps with acceleration lanes, one junction
-where a map has several nodes."""
+"""Options for driving: only roads for cars (with their sidewalks and cycle lanes), ramps with acceleration lanes, and
+one junction where a map has several nodes.
+"""
 OF_OPENSTREETMAP = (
     "--osm.sidewalks", "--osm.bike-access", "--osm.lane-access", "--osm.turn-lanes", "--geometry.remove",
     "--roundabouts.guess", "--tls.guess-signals", "--tls.discard-simple", "--tls.join",
 )  # fmt: skip
-"""Also the recommendation of SUMO's page on importing OpenStreetMap."""
+"""Further options for OpenStreetMap, which SUMO's page on importing it also recommends."""
 CONNECTED = ("--remove-edges.isolated",)
-"""Without the pieces of roads at the rim of a part of OpenStreetMap, where anything else is left then."""
+"""Removes isolated pieces of road at the rim of an OpenStreetMap extract. It is used unless no road for cars would
+remain.
+"""
 TYPE_MAPS = {
     "osm": ("osmNetconvert.typ.xml", "osmNetconvertPedestrians.typ.xml"),
     "opendrive": (
@@ -70,8 +73,16 @@ READERS = {"osm": read_openstreetmap, "opendrive": read_opendrive}
 
 @dataclass(frozen=True, slots=True)
 class MapConversion:
-    """A converted map. network: the SUMO network. options: netconvert's. lost: what the network lacks, by kind. said:
-    sentences on what was converted and lost, and on what netconvert warns of. warnings: all kinds of that."""
+    """A converted map.
+
+    Attributes:
+        path: The map.
+        network: The SUMO network.
+        options: The options of netconvert.
+        lost: What the network lacks, as a number by kind.
+        said: Sentences on what was converted and lost, and on netconvert's warnings.
+        warnings: All kinds of netconvert's warnings.
+    """
 
     path: Path
     network: Path
@@ -82,13 +93,23 @@ class MapConversion:
 
 
 def is_map(path: Path) -> bool:
-    """Whether the file's name is that of a map of another format."""
+    """Return whether the file's name is that of a map of another format."""
     return path.name.lower().endswith((*MAPS, *PACKED))
 
 
 def convert_map(path: Path, *, cache: Path | None = None) -> MapConversion:
-    """The map at ``path`` as a network, from the cache (default: the user's) or made now. Raises UsageError: the file
-    is damaged, of another format, or has no road for cars; netconvert is missing or fails."""
+    """Return a map as a network, from the cache or by converting it now.
+
+    Args:
+        path: The map.
+        cache: The folder of the cache; None means the user's.
+
+    Returns:
+        The conversion.
+
+    Raises:
+        UsageError: The map is damaged, of another format, or has no road for cars; netconvert is missing or fails.
+    """
     name = path.name.lower()
     if name.endswith(PACKED):
         raise UsageError(f"{path} is packed in a way that netconvert does not read: write it as .osm or .osm.gz first.")
@@ -116,7 +137,7 @@ def convert_map(path: Path, *, cache: Path | None = None) -> MapConversion:
             raise UsageError(f"{path} has no road for cars: nothing can be run there; choose another part of the map.")
         (folder / MADE_NETWORK_FILE).rename(folder / "made" / f"{stem}.net.xml")
         (folder / "made" / CONVERSION_FILE).write_text(json.dumps(report, indent=2), encoding="utf-8")
-        with contextlib.suppress(OSError):  # another process was faster: its files are the same
+        with contextlib.suppress(OSError):  # another process was faster, and its files are the same
             (folder / "made").rename(place)
     keep_newest((p for p in place.parent.iterdir() if (p / CONVERSION_FILE).is_file()), MAX_CACHED_MAPS)
     whole = _kept(path, stem, place)
@@ -126,7 +147,7 @@ def convert_map(path: Path, *, cache: Path | None = None) -> MapConversion:
 
 
 def _cache(given: Path | None) -> Path:
-    """The folder of conversions; a temporary one where the user's cannot be written."""
+    """Return the folder of conversions, or a temporary one if the user's cannot be written."""
     folder = user_folder("cache", os.environ, sys.platform, None) / "maps" if given is None else given
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -137,7 +158,7 @@ def _cache(given: Path | None) -> Path:
 
 
 def _key(path: Path) -> str:
-    """Of the file's name and content, SUMO's version and the sources of the conversion."""
+    """Return a hash of the file's name and content, SUMO's version and the sources of the conversion."""
     try:
         content = hashlib.sha256(path.read_bytes())
     except OSError as error:
@@ -148,7 +169,7 @@ def _key(path: Path) -> str:
 
 
 def _kept(path: Path, stem: str, place: Path) -> MapConversion | None:
-    """The whole conversion at ``place``, or None."""
+    """Return the complete conversion at ``place``, or None."""
     try:
         report = read_json(place / CONVERSION_FILE)
         os.utime(place)
@@ -160,9 +181,13 @@ def _kept(path: Path, stem: str, place: Path) -> MapConversion | None:
 
 
 def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> tuple[str, ...] | None:
-    """Write ``MADE_NETWORK_FILE`` from ``MAP_FILE``, without the comment that holds paths and the time, and return
-    netconvert's warnings; None: nothing is left of the map. All names are relative: netconvert takes a comma or colon
-    in a path for something else."""
+    """Write ``MADE_NETWORK_FILE`` from ``MAP_FILE``, without the comment that holds paths and the time.
+
+    All file names are relative, because netconvert misreads a comma or colon in a path.
+
+    Returns:
+        netconvert's warnings; None if nothing of the map is left.
+    """
     program = find_netconvert()
     types = ",".join((*(str(find_type_maps(program) / name) for name in TYPE_MAPS[form]), OWN_TYPES_FILE))
     command = [str(program), f"--{form}-files", MAP_FILE, "--type-files", types, *options, "-o", MADE_NETWORK_FILE]
@@ -192,7 +217,7 @@ def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> 
 def _report(
     path: Path, content: MapContent, network: Path, options: Sequence[str], warned: Sequence[str]
 ) -> dict[str, object] | None:
-    """What ``CONVERSION_FILE`` holds; None: the network has no lane for cars."""
+    """Return the content of ``CONVERSION_FILE``; None if the network has no lane for cars."""
     counts = count_network(network)
     for_cars = counts.lanes[CAR_LANES]
     if not for_cars:
@@ -215,6 +240,7 @@ def _report(
 
 
 def _named(lost: Mapping[str, int]) -> str:
+    """Return the lost kinds with their numbers, for a sentence."""
     kinds = [f"{number} {kind}" for kind, number in lost.items()]
     more = len(kinds) - MAX_NAMED_WAY_KINDS
     return ", ".join(kinds[:MAX_NAMED_WAY_KINDS]) + (

@@ -1,7 +1,7 @@
-"""Vehicles that this program puts at poses, in each step anew.
+"""Put vehicles at poses, once for each step.
 
-Facts about SUMO that shape the calls are measured ones: a moved vehicle needs ``setSpeedMode, setSpeed,
-moveToXY(keepRoute=2)`` in this order and in every step, or its speed is wrong.
+Measurements of SUMO shape the calls: a moved vehicle needs ``setSpeedMode, setSpeed, moveToXY(keepRoute=2)`` in this
+order and in every step. Otherwise its speed is wrong.
 """
 
 from __future__ import annotations
@@ -16,35 +16,44 @@ from sumo_adv.geometry import Pose
 from sumo_adv.simulation.permissions import CYCLES, EVERYWHERE, MOTOR, ON_FOOT, is_carriageway
 from sumo_adv.simulation.sumo_states import Fleet, RawState, angle_deg_of, correct_speeds, front_of
 
-KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
+KEEP_ROUTE = 2  # moveToXY places the vehicle exactly, and rewrites its route if necessary
 LANELESS = CYCLES | ON_FOOT
-"""Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
-drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own. In
-the step after that, drivers in the lane beside brake for it (measured, 0.3 to 0.5 m/s)."""
-LANE_SEARCH_RADIUS_M = 10.0  # in which moveToXY looks for a lane: its own 100 m cost seven times as much
+"""Classes that many lanes for cars do not allow.
+
+If a vehicle is moved to a place where its class is not allowed, SUMO puts it on no lane, and SUMO's drivers drive
+through it (measured). Moved vehicles of these classes therefore get the class of a car; ``vehicle_class`` returns their
+own. In the step after that, drivers in the neighbouring lane brake for it (measured, 0.3 to 0.5 m/s).
+"""
+LANE_SEARCH_RADIUS_M = 10.0  # in which moveToXY looks for a lane; its default of 100 m takes seven times as long
 FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
-HEEDING_SPEED_MODE = 24  # any speed, and lights and right of way still count in what SUMO's driver would do
+HEEDING_SPEED_MODE = 24  # allows any speed, but what SUMO's driver would do still depends on lights and right of way
 
 
 class MovedVehicles:
-    """The vehicles of one simulation that are moved."""
+    """The vehicles of one simulation that this program moves."""
 
     def __init__(self, api: Any, errors: tuple[type[Exception], ...], fleet: Fleet) -> None:
-        """``api``: libsumo, or a connection with the same functions; ``errors``: what it raises."""
+        """Start without moved vehicles.
+
+        Args:
+            api: libsumo, or a connection with the same functions.
+            errors: The exceptions that ``api`` raises.
+            fleet: The sizes and classes of the vehicles.
+        """
         self._api, self._errors, self._fleet = api, errors, fleet
-        self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
+        self._as_cars: set[str] = set()  # moved pedestrians and cyclists that have the class of a car in SUMO
         self.forget()
 
     def forget(self) -> None:
-        """Move none, as at the beginning of a simulation."""
-        self._next: dict[str, float] = {}  # speeds [m/s] of the vehicles that are moved in the next step,
-        self._last: dict[str, float] = {}  # and that were moved in the last one
+        """Forget all moved vehicles, as at the beginning of a simulation."""
+        self._next: dict[str, float] = {}  # speeds of the vehicles that are moved in the next step [m/s]
+        self._last: dict[str, float] = {}  # speeds of those that were moved in the last step [m/s]
         self._on: dict[str, str] = {}  # lanes of the vehicles that were moved in the last step
         self._trespassing: set[str] = set()  # moved vehicles on lanes that are not for their class
         self._as_cars = set()
 
     def before_step(self) -> None:
-        """Give those that are moved no more their own class back. Call it before each step."""
+        """Restore the class of vehicles on foreign lanes that are no longer moved. Call it before each step."""
         for name in self._trespassing - self._next.keys():
             self._trespassing.discard(name)
             with suppress(*self._errors):  # it may be gone
@@ -52,7 +61,7 @@ class MovedVehicles:
         self._last, self._next = self._next, {}
 
     def after_step(self, raw: dict[str, RawState]) -> None:
-        """Correct the speeds of those that were moved in the step that ``raw`` was read after."""
+        """Correct the speeds of the vehicles that were moved in the step after which ``raw`` was read."""
         correct_speeds(raw, self._last)
         self._on = {name: raw[name][4] for name in self._last if name in raw}
 
@@ -76,16 +85,16 @@ class MovedVehicles:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
 
     def release(self, vehicle: str) -> None:
-        """Give a vehicle that is moved no more its own class back."""
+        """Restore the class of a pedestrian or cyclist that is no longer moved."""
         if vehicle in self._as_cars:
             self._as_cars.discard(vehicle)
             self._api.vehicle.setVehicleClass(vehicle, self._fleet.vehicle_class(vehicle))
 
     def _let_trespass(self, vehicle: str, pose: Pose) -> None:
-        """Have SUMO place a moved vehicle on a lane for motor vehicles that its class may not use.
+        """Make SUMO place a moved vehicle on a lane for motor vehicles that its class may not use.
 
-        Measured with SUMO 1.28: it has a car that is moved onto a bus lane on no lane, and a bus there drives through
-        the car. With the class ``ignoring`` the car is on the lane, and the bus brakes for it.
+        Measured with SUMO 1.28: SUMO puts a car that is moved onto a bus lane on no lane, and a bus there drives
+        through the car. With the class ``ignoring``, the car is on the lane, and the bus brakes for it.
         """
         lane, own = self._on.get(vehicle), self._fleet.vehicle_class(vehicle)
         if lane is None or own in LANELESS or not self._has_reserved_lanes:
@@ -105,7 +114,9 @@ class MovedVehicles:
 
     @cached_property
     def _has_reserved_lanes(self) -> bool:
-        """Whether some lane is for motor vehicles, but not for those of every class. It saves others 1 ms a look."""
+        """Whether some lane is for motor vehicles, but not for all of their classes. Without one, 1 ms per look-up is
+        saved.
+        """
         lanes = self._api.lane
         return any(
             is_carriageway(classes) and not classes.issuperset(MOTOR - {EVERYWHERE})
@@ -113,5 +124,5 @@ class MovedVehicles:
         )
 
     def _lane_allows(self, lane: str, vclass: str) -> bool:
-        classes = self._api.lane.getAllowed(lane)  # nothing where every class may use it
+        classes = self._api.lane.getAllowed(lane)  # empty if every class may use it
         return not classes or vclass in classes

@@ -1,4 +1,4 @@
-"""The road as the rest of the program sees it, read from a net.xml by sumolib."""
+"""The road network as the rest of the program uses it, read from a net.xml by sumolib."""
 
 from __future__ import annotations
 
@@ -21,25 +21,33 @@ from sumo_adv.simulation.layers import ElevatedLane, Heights, lane_heights
 from sumo_adv.simulation.permissions import ALL_CLASSES, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
 
 MOVEMENT_OF_LETTER = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
-LANE_SEARCH_DISTANCE_M = 6.0  # no lane is wider
-MAX_LANE_ANGLE_RAD = 0.6  # between a box and the lane that it is in
-MAX_PATH_CURVATURE_1_M = 0.195  # what a car can follow within the limit of 0.2
-MAX_PATHS = 6  # ways on that are followed for one vehicle
-HALF_LANE_GAP_M = 0.3  # gaps between lanes of up to twice this are carriageway, too
+LANE_SEARCH_DISTANCE_M = 6.0  # from a point to a lane that could contain it; no lane is wider
+MAX_LANE_ANGLE_RAD = 0.6  # between a vehicle's heading and the direction of its lane
+MAX_PATH_CURVATURE_1_M = 0.195  # curvature that a car can follow within the limit of 0.2
+MAX_PATHS = 6  # paths per vehicle
+HALF_LANE_GAP_M = 0.3  # gaps between lanes of up to twice this width also count as carriageway
 
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A way from the end of a lane through a junction (``via``: internal lanes) to the next lane.
+    """A connection from the end of a lane through a junction to the next lane.
 
-    link: junction and index there; yields_to: indices of those that have the right of way (SUMO's ``response``).
-    light: its traffic light's id and place in the light's state; empty without one. classes: SUMO's vehicle classes
-    that may take it."""
+    Attributes:
+        to: The id of the next lane.
+        via: The ids of the internal lanes between.
+        movement: straight, left, right or u-turn.
+        state: SUMO's right-of-way letter: M has priority, m must give way, s and w stop, = is equal, o and O are off, -
+            is a dead end.
+        link: The junction, and the index of the connection there.
+        yields_to: Indices of the connections that have the right of way over this one (SUMO's ``response``).
+        light: The id of its traffic light, and its place in the light's state; an empty id without a light.
+        classes: SUMO's vehicle classes that may use it.
+    """
 
     to: str
     via: tuple[str, ...]
-    movement: str  # straight | left | right | u-turn
-    state: str  # SUMO's right of way letter: M has priority, m must give way, s/w stop, = equal, o/O off, - dead end
+    movement: str
+    state: str
     link: tuple[str, int] = ("", -1)
     yields_to: frozenset[int] = frozenset()
     light: tuple[str, int] = ("", -1)
@@ -48,8 +56,18 @@ class Connection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkLane(Centreline):
-    """One lane. width [m]; speed [m/s]. index: from the right, also in left-hand traffic, where SUMO counts from the
-    left. classes: SUMO's vehicle classes that may use it."""
+    """One lane.
+
+    Attributes:
+        id: The id of the lane.
+        edge: The id of its edge.
+        index: Its index from the right. This also holds in left-hand traffic, where SUMO counts from the left.
+        width: Its width [m].
+        speed: Its speed limit [m/s].
+        internal: Whether it lies within a junction.
+        classes: SUMO's vehicle classes that may use it.
+        connections: Its connections to other lanes.
+    """
 
     id: str
     edge: str
@@ -61,66 +79,86 @@ class NetworkLane(Centreline):
     connections: tuple[Connection, ...] = ()
 
     def allows(self, vclass: str) -> bool:
-        """Whether a vehicle of a class may use it."""
+        """Return whether a vehicle of a class may use the lane."""
         return vclass in self.classes
 
     @property
     def carriageway(self) -> bool:
-        """Whether it is for motor vehicles of some class: also a bus lane, no cycle lane, sidewalk or track."""
+        """Whether the lane is for motor vehicles of some class, such as a bus lane; not a cycle lane, sidewalk or
+        track.
+        """
         return is_carriageway(self.classes)
 
     @property
     def paved(self) -> bool:
-        """Whether a car that leaves its own lane can drive on it: a carriageway or a cycle lane."""
+        """Whether a car that leaves its own lane can drive on this one: a carriageway or a cycle lane."""
         return is_paved(self.classes)
 
 
 @dataclass(frozen=True, slots=True)
 class PathAhead:
-    """A path a vehicle could take from where it is: the lanes, the first movement at a junction, the path."""
+    """A path that a vehicle could take from its present place.
+
+    Attributes:
+        lanes: The ids of the lanes, the present one first.
+        movement: The movement at the first junction: straight, left, right or u-turn; ``none`` without a junction.
+        path: The path; station 0 is the vehicle's place.
+        junction: The station at which the first junction begins [m]; inf if none is in reach.
+        rule: SUMO's right-of-way letter at that junction (see ``Connection``); empty without a junction.
+        first: The connection at that junction.
+        bay: The station on the junction at which a vehicle that gives way waits [m] (SUMO's internal junction); inf
+            without one.
+    """
 
     lanes: tuple[str, ...]
     movement: str
     path: Path
-    junction: float  # station at which the first junction begins, inf if none is in reach
-    rule: str = ""  # SUMO's right of way letter there (see ``Connection``), empty where there is no junction
-    first: Connection | None = None  # at that junction
-    bay: float = math.inf  # station at which vehicles that give way wait on it (SUMO's internal junction), else inf
+    junction: float
+    rule: str = ""
+    first: Connection | None = None
+    bay: float = math.inf
 
     @property
     def gives_way(self) -> bool:
-        """Whether SUMO's rules make it yield at the first junction."""
+        """Whether SUMO's rules make the vehicle yield at the first junction."""
         return self.rule not in "MOo"
 
 
 Closed = Callable[[str], bool]
-"""Says of a lane's id whether it is closed now."""
+"""Returns whether the lane with an id is closed now."""
 
 
 def open_to_all(lane: str) -> bool:
-    """``Closed`` where nothing is."""
+    """Treat every lane as open (a ``Closed``)."""
     return False
 
 
 @dataclass(frozen=True)
 class RoadMap:
-    """All lanes of a network, with what can be reached from where.
+    """All lanes of a network, and how they connect.
 
-    ground: the drivable area that the network carries (shapely polygons, m), None where it carries none.
-    hand: 1; -1 in left-hand traffic (netconvert's ``--lefthand``).
-    heights: of the lanes; None where the network is flat and has no bridges. rims: the junctions with heights."""
+    Attributes:
+        name: The name of the network.
+        lanes: The lanes by id.
+        edges: The ids of each edge's lanes, rightmost first.
+        junctions: The outlines of the junctions, each ``(n, 2)`` [m].
+        ground: The drivable area that the network carries (shapely polygons [m]); None if it carries none.
+        hand: 1 in right-hand traffic, -1 in left-hand traffic (netconvert's ``--lefthand``).
+        heights: The heights of the lanes; None if the network is flat and has no bridges.
+        rims: The outlines of the junctions with heights, each ``(n, 3)`` [m]; empty without heights.
+    """
 
     name: str
     lanes: dict[str, NetworkLane]
-    edges: dict[str, tuple[str, ...]]  # edge -> its lane ids, rightmost first
-    junctions: tuple[Floats, ...] = field(repr=False, default=())  # polygons (n, 2)
+    edges: dict[str, tuple[str, ...]]
+    junctions: tuple[Floats, ...] = field(repr=False, default=())
     ground: Any = field(repr=False, default=None)
     hand: float = 1.0
     heights: Heights | None = field(repr=False, default=None)
     rims: tuple[Floats, ...] = field(repr=False, default=())
 
     def line(self, lane: NetworkLane) -> Floats:
-        """The centreline of a lane ``(n, 2)`` [m], or ``(n, 3)`` with heights where the network has some."""
+        """Return the centreline of a lane [m], ``(n, 3)`` if heights are known and ``(n, 2)`` otherwise."""
         line = None if self.heights is None else self.heights.lines.get(lane.id)
         return lane.shape if line is None else line
 
@@ -129,7 +167,16 @@ class RoadMap:
         return _tree_of(lane for lane in self.lanes.values() if not lane.internal)
 
     def lanes_near(self, x: float, y: float, radius: float) -> list[NetworkLane]:
-        """Lanes outside junctions that come within ``radius`` metres of a point."""
+        """Return lanes outside junctions near a point.
+
+        Args:
+            x: The point's x [m].
+            y: The point's y [m].
+            radius: The distance within which a lane must come [m].
+
+        Returns:
+            The lanes whose bounding boxes overlap that of the circle.
+        """
         from shapely import Point
 
         tree, lanes = self._tree
@@ -142,7 +189,7 @@ class RoadMap:
 
     @cached_property
     def approaching(self) -> dict[str, set[str]]:
-        """By id of a junction the edges from which motor vehicles reach it."""
+        """The edges from which motor vehicles reach each junction, by the junction's id."""
         edges: dict[str, set[str]] = {}
         for lane in self.lanes.values():
             for connection in () if lane.internal else lane.connections:
@@ -155,7 +202,16 @@ class RoadMap:
         return _tree_of(lane for lane in self.lanes.values() if lane.paved)
 
     def paved_lanes_within(self, x: float, y: float, radius: float) -> list[NetworkLane]:
-        """Paved lanes, also within junctions, of which a part of the centreline is within ``radius`` [m]."""
+        """Return paved lanes near a point, including those within junctions.
+
+        Args:
+            x: The point's x [m].
+            y: The point's y [m].
+            radius: The distance within which the centreline must come [m].
+
+        Returns:
+            The lanes.
+        """
         from shapely import Point
 
         tree, lanes = self._paved_tree
@@ -164,8 +220,18 @@ class RoadMap:
     def lane_at(
         self, x: float, y: float, heading: float, vclass: str = CAR, z: float | None = None
     ) -> tuple[str, float] | None:
-        """The lane for a class, outside junctions, in which a point is, and how far along [m]; its direction must
-        agree. z: so must its layer [m]; None = any."""
+        """Return the lane outside junctions that contains a point and runs in its direction.
+
+        Args:
+            x: The point's x [m].
+            y: The point's y [m].
+            heading: The direction [rad], which must agree with the lane's.
+            vclass: The vehicle class that must be allowed on the lane.
+            z: The height [m], whose layer the lane must share; None means any.
+
+        Returns:
+            The lane's id and the station of the point on it [m]; None if there is no such lane.
+        """
         best: tuple[float, str, float] | None = None
         for lane in self.level(self.lanes_near(x, y, LANE_SEARCH_DISTANCE_M), x, y, z):
             station = lane.station_at(x, y)
@@ -177,15 +243,36 @@ class RoadMap:
         return None if best is None else best[1:]
 
     def level(self, lanes: Sequence[NetworkLane], x: float, y: float, z: float | None) -> list[NetworkLane]:
-        """The lanes that are at a point on the layer of the height ``z`` [m]; all where that is None."""
+        """Return the lanes that are on the layer of a height at a point.
+
+        Args:
+            lanes: The lanes to choose from.
+            x: The point's x [m].
+            y: The point's y [m].
+            z: The height [m]; None returns all lanes.
+
+        Returns:
+            The lanes.
+        """
         if self.heights is None or z is None:
             return list(lanes)
         return [lane for lane in lanes if same_layer(self.heights.at(lane.id, x, y), z)]
 
     def opposite_offset(self, x: float, y: float, heading: float, z: float | None = None) -> float | None:
-        """Lateral offset of the nearest lane on the inner side (left, in left-hand traffic right) that leads the
-        other way and touches ours, on the layer of the height ``z`` [m]; None if none. Only lanes for motor vehicles
-        count."""
+        """Return the lateral offset of the nearest oncoming lane on the inner side.
+
+        The inner side is the left in right-hand traffic and the right in left-hand traffic. Only lanes for motor
+        vehicles count.
+
+        Args:
+            x: The point's x [m].
+            y: The point's y [m].
+            heading: The direction of travel [rad].
+            z: The height [m], whose layer the lane must share; None means any.
+
+        Returns:
+            The offset [m], left positive; None if no such lane is near.
+        """
         best: float | None = None
         for lane in self.level(self.lanes_near(x, y, 12.0), x, y, z):
             i = int(np.argmin(np.hypot(lane.shape[:-1, 0] - x, lane.shape[:-1, 1] - y))) if len(lane.shape) > 2 else 0
@@ -204,8 +291,18 @@ class RoadMap:
     def side_offsets(
         self, lane_id: str, x: float, y: float, heading: float, vclass: str = CAR
     ) -> list[tuple[float, str]]:
-        """Lanes beside ``lane_id`` as (offset [m], "same" | "opposite"), left positive, up to two to each side. Those
-        of the same direction are the ones that a vehicle of the class may use."""
+        """Return the lanes beside a lane, up to two on each side in the same direction and one oncoming lane.
+
+        Args:
+            lane_id: The id of the lane.
+            x: The x of a point on it [m].
+            y: The y of the point [m].
+            heading: The direction of travel there [rad].
+            vclass: The vehicle class that may use the lanes of the same direction.
+
+        Returns:
+            Pairs of an offset [m], left positive, and "same" or "opposite"; empty if the lane is unknown or internal.
+        """
         lane = self.lanes.get(lane_id)
         if lane is None or lane.internal:
             return []
@@ -220,7 +317,15 @@ class RoadMap:
         return offsets
 
     def beside(self, lane: NetworkLane, vclass: str) -> Iterator[tuple[NetworkLane, float]]:
-        """The lanes of its edge for a class, up to two to each side, and their offsets [m, left positive]."""
+        """Yield the lanes of the same edge, up to two on each side.
+
+        Args:
+            lane: The lane.
+            vclass: The vehicle class that may use them.
+
+        Yields:
+            A lane and its offset [m], left positive.
+        """
         row = [self.lanes[n] for n in self.edges[lane.edge]]
         for i, neighbour in enumerate(row):
             if i == lane.index or abs(i - lane.index) > 2 or not neighbour.allows(vclass):
@@ -232,11 +337,22 @@ class RoadMap:
         self, lane_id: str, station: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0,
         vclass: str = CAR, closed: Closed = open_to_all,
     ) -> list[PathAhead]:  # fmt: skip
-        """Ways on of a vehicle of a class from ``station`` metres along a lane for ``reach`` metres, on to
-        ``farthest`` [m] where the last lane goes as far.
+        """Return the paths that a vehicle can take.
 
-        With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
-        junction, then the straightest. ``closed``: says which lanes are avoided.
+        With ``route``, there is only one path. Without it, there is one path for each connection at the first junction,
+        at most ``MAX_PATHS``. Each goes on as straight as possible after that junction.
+
+        Args:
+            lane_id: The id of the present lane.
+            station: Where the vehicle is on it [m].
+            reach: The minimum length of a path [m]. A path is extended beyond its last lane if necessary.
+            route: The ids of the edges to follow, from the present one on.
+            farthest: The length up to which a path follows its lanes if they are long enough [m].
+            vclass: The vehicle class.
+            closed: Returns which lanes to avoid.
+
+        Returns:
+            The paths, straight ones first.
         """
         ways: list[PathAhead] = []
         for chain, first, junction, bay in self._chains(lane_id, station, reach, route, vclass, closed):
@@ -254,11 +370,20 @@ class RoadMap:
         self, lane_id: str, station: float, reach: float, route: tuple[str, ...], vclass: str = CAR,
         closed: Closed = open_to_all,
     ) -> tuple[str, ...]:  # fmt: skip
-        """The lanes of the first of the ``ways``."""
+        """Return the ids of the lanes of the first path of ``ways``."""
         return tuple(next(self._chains(lane_id, station, reach, route, vclass, closed))[0])
 
     def metres_ahead(self, lanes: Sequence[str], station: float, distance: float) -> float:
-        """Metres from ``station`` on the first of some lanes to what is ``distance`` [m] ahead in SUMO's lengths."""
+        """Convert a distance in SUMO's lane lengths to metres along the lanes.
+
+        Args:
+            lanes: The ids of the lanes, the present one first.
+            station: The place on the first lane from which to measure [m].
+            distance: The distance ahead in SUMO's lengths [m].
+
+        Returns:
+            The distance in metres of road.
+        """
         gone, position = -station, self.lanes[lanes[0]].position_of(station) + distance
         for lane in (self.lanes[name] for name in lanes):
             if position <= lane.positions[-1]:
@@ -269,6 +394,7 @@ class RoadMap:
     def _chains(
         self, lane_id: str, station: float, reach: float, route: tuple[str, ...], vclass: str, closed: Closed
     ) -> Iterator[tuple[list[str], Connection | None, float, float]]:
+        """Yield the lanes of each path, its first connection, and the distances to the first junction and bay [m]."""
         lane = self.lanes[lane_id]
         start = lane.length - station
         options = self.onward(lane, route, vclass, closed)
@@ -289,8 +415,16 @@ class RoadMap:
             yield chain, first, inside, self._bay(lane, start, first)
 
     def _bay(self, lane: NetworkLane, start: float, on: Connection) -> float:
-        """Metres to where the first internal lane of a connection ends and another follows; ``start``: to this lane's
-        end."""
+        """Return the distance to the end of the connection's first internal lane, if another one follows [m].
+
+        Args:
+            lane: The present lane.
+            start: The distance to the end of that lane [m].
+            on: The connection.
+
+        Returns:
+            The distance [m]; inf if no internal lane follows.
+        """
         if lane.internal:
             return start if on.via else math.inf
         return start + self.lanes[on.via[0]].length if len(on.via) > 1 else math.inf
@@ -298,10 +432,21 @@ class RoadMap:
     def onward(
         self, lane: NetworkLane, route: tuple[str, ...], vclass: str = CAR, closed: Closed = open_to_all
     ) -> list[Connection]:
-        """Connections from a lane for a class, straight ones first; only along ``route`` where that says something.
-        Those to closed lanes only where there are no others.
+        """Return the connections that a vehicle can take from a lane, straight ones first.
 
-        A vehicle on a lane that its class may not use goes on as the lane leads."""
+        Connections to closed lanes are returned only if there are no others. A vehicle on a lane that its class may not
+        use can take every connection of that lane.
+
+        Args:
+            lane: The lane.
+            route: The ids of the edges to follow. If they contain the lane's edge, at most one connection is returned.
+                It may start from a neighbouring lane, because the vehicle will change lanes.
+            vclass: The vehicle class.
+            closed: Returns which lanes to avoid.
+
+        Returns:
+            The connections.
+        """
         near, far = ("right", "left") if self.hand > 0 else ("left", "right")
         order = {"straight": 0, near: 1, far: 2, "u-turn": 3}
         errs = not lane.allows(vclass)
@@ -313,7 +458,7 @@ class RoadMap:
             at = route.index(lane.edge)
             following = route[at + 1] if at + 1 < len(route) else None
             row = (self.lanes[name] for name in self.edges[lane.edge][:: int(self.hand)])
-            # From a lane beside it: the vehicle will change lanes.
+            # Include connections from the neighbouring lanes, because the vehicle will change lanes.
             beside = [c for other in row for c in other.connections if c.to in self.lanes and vclass in c.classes]
             leads = [c for c in (*options, *beside) if self.lanes[c.to].edge == following]
             return [c for c in leads if not closed(c.to)][:1] or leads[:1]
@@ -321,7 +466,16 @@ class RoadMap:
         return [c for c in options if not closed(c.to)] or options
 
     def strips(self, x: float, y: float, radius: float) -> list[LaneStrip]:
-        """Return all paved lanes near a place, for pictures: upper ones last."""
+        """Return all paved lanes near a place, for pictures, the highest last.
+
+        Args:
+            x: The x of the place [m].
+            y: The y of the place [m].
+            radius: The radius of the picture [m].
+
+        Returns:
+            The lanes in drawing order.
+        """
         near = [
             lane for lane in self.lanes.values()
             if lane.paved
@@ -330,12 +484,20 @@ class RoadMap:
         return [LaneStrip(self.line(lane), lane.width, lane.internal) for lane in sorted(near, key=self.top)]
 
     def top(self, lane: NetworkLane) -> float:
-        """The greatest height of a lane [m]: what is drawn later hides what is below it."""
+        """Return the greatest height of a lane [m], which gives the drawing order."""
         line = self.line(lane)
         return float(line[:, 2].max()) if line.shape[1] > 2 else 0.0
 
     def leads_over(self, way: Floats, line: Floats) -> bool:
-        """Whether a lane passes above or below a way where it is nearest to it; lines as :meth:`line` has them."""
+        """Return whether a lane passes above or below a path where the two are nearest.
+
+        Args:
+            way: The path, ``(n, 2)`` or ``(n, 3)`` [m].
+            line: The lane's centreline, as :meth:`line` returns it.
+
+        Returns:
+            Whether they are on different layers there; False without heights.
+        """
         from shapely import LineString, shortest_line
 
         if self.heights is None or way.shape[1] < 3 or line.shape[1] < 3:
@@ -349,9 +511,20 @@ class RoadMap:
         return not same_layer(*z)
 
     def drivable(self, x: float, y: float, radius: float, way: Floats | None = None) -> Drivable:
-        """The drivable ground within about ``radius`` metres of a place: the network's own, else the paved lanes and
-        the junctions. It is the same for all classes: a car that cuts into a bus lane is on the road.
-        way: leave out what leads over or under this line ``(n, 3)`` [m]."""
+        """Return the drivable ground near a place.
+
+        The ground is the area that the network carries or, without one, the paved lanes and the junctions. It is the
+        same for all classes: a car that cuts into a bus lane is on the road.
+
+        Args:
+            x: The x of the place [m].
+            y: The y of the place [m].
+            radius: The approximate radius of the ground [m].
+            way: A line ``(n, 3)`` [m]; lanes and junctions that pass over or under it are left out.
+
+        Returns:
+            The ground.
+        """
         from shapely import LineString, Point, Polygon, union_all
 
         if self.ground is not None:
@@ -377,7 +550,7 @@ class RoadMap:
 
 
 def _tree_of(lanes: Iterable[NetworkLane]) -> tuple[Any, list[NetworkLane]]:
-    """Lanes, and a tree to look them up by place."""
+    """Return a search tree over the lanes, and the lanes in its order."""
     from shapely import LineString, STRtree
 
     lines = [lane for lane in lanes if len(lane.shape) > 1]
@@ -385,7 +558,7 @@ def _tree_of(lanes: Iterable[NetworkLane]) -> tuple[Any, list[NetworkLane]]:
 
 
 def _cut(points: Floats, position: float, length: float) -> Floats:
-    """The polyline from ``position`` metres on, for ``length`` metres."""
+    """Return the polyline from ``position`` [m] on, for ``length`` [m]."""
     step = np.hypot(*np.diff(points[:, :2], axis=0).T)
     station = np.concatenate([[0.0], np.cumsum(step)])
     position = min(max(position, 0.0), station[-1] - 0.1)
@@ -396,12 +569,16 @@ def _cut(points: Floats, position: float, length: float) -> Floats:
 
 
 def read_network(path: FilePath) -> RoadMap:
-    """Read a net.xml or net.xml.gz. Raises UsageError: sumolib cannot read the file."""
+    """Read a net.xml or net.xml.gz.
+
+    Raises:
+        UsageError: sumolib cannot read the file, or the heights or the drivable area in it are damaged.
+    """
     from sumolib.net import readNet
 
     try:
         net = readNet(str(path), withInternal=True)
-    except Exception as error:  # sumolib raises what its XML and gzip readers raise
+    except Exception as error:  # sumolib passes on any exception of its XML and gzip readers
         raise UsageError(
             f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert."
         ) from error
@@ -433,11 +610,11 @@ def read_network(path: FilePath) -> RoadMap:
 
 
 def _strip(lane: Any) -> ElevatedLane:
-    """A lane of sumolib for its height. A faster, wider road bridges another rather than the other way round."""
+    """Return the height data of a sumolib lane, ranked so that a faster, wider road bridges another one."""
     edge = lane.getEdge()
     shape = np.asarray(lane.getShape3D(), float)
     start, end = edge.getFromNode().getID(), edge.getToNode().getID()
-    if edge.getFunction():  # within a junction, whose name is in that of the edge
+    if edge.getFunction():  # within a junction, whose name is part of the edge's name
         start = end = edge.getID()[1:].rpartition("_")[0]
     size = edge.getPriority(), edge.getSpeed(), edge.getLaneNumber()
     z = np.array(lane.getParam(HEIGHTS).split(), float) if lane.getParam(HEIGHTS) else shape[:, 2]
@@ -448,7 +625,7 @@ def _strip(lane: Any) -> ElevatedLane:
 
 
 def _rim(node: Any, heights: Heights) -> Floats:
-    """The outline of a junction with heights ``(n, 3)``: at each point that of the lane that ends there."""
+    """Return the outline of a junction with heights ``(n, 3)``; each point takes the height of the nearest lane end."""
     shape = np.asarray(node.getShape(), float)[:, :2]
     ways = ((node.getIncoming(), -1), (node.getOutgoing(), 0))
     lanes = ((lane.getID(), end) for edges, end in ways for edge in edges for lane in edge.getLanes())
@@ -460,7 +637,7 @@ def _rim(node: Any, heights: Heights) -> Floats:
 
 
 def is_left_hand(path: FilePath) -> bool:
-    """Whether a network is of left-hand traffic; sumolib does not say it."""
+    """Return whether a network has left-hand traffic, which sumolib does not tell."""
     import gzip
     from xml.etree import ElementTree
 
@@ -470,7 +647,7 @@ def is_left_hand(path: FilePath) -> bool:
 
 
 def _ground(path: FilePath, net: Any) -> Any:
-    """The drivable area that a network carries."""
+    """Return the drivable area that a network carries, or None."""
     try:
         return area_of(node.getParam(DRIVABLE_KEY) for node in net.getNodes() if node.getParam(DRIVABLE_KEY))
     except ValueError as error:
@@ -478,19 +655,19 @@ def _ground(path: FilePath, net: Any) -> Any:
 
 
 def _classes(lane: Any) -> frozenset[str]:
-    """The vehicle classes that may use a lane of sumolib's; none but people on crossings and the like."""
+    """Return the vehicle classes that may use a sumolib lane; on crossings and the like, only people on foot."""
     classes = allowed(lane.getPermissions())
     return _one(classes if lane.getEdge().getFunction() in ("", "internal") else classes & ON_FOOT)
 
 
 @cache
 def _one(classes: frozenset[str]) -> frozenset[str]:
-    """The one object for equal sets: a large network has thousands of lanes, and few different sets."""
+    """Return one object for equal sets; a large network has thousands of lanes, and few different sets."""
     return classes
 
 
 def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
-    """The connections from a lane that any vehicle may take."""
+    """Return the connections from a lane that some vehicle class may use."""
     connections = []
     for c in lane.getOutgoing():
         via, name = [], c.getViaLaneID()
@@ -511,8 +688,11 @@ def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
 
 
 def _right_of_way(lane: Any, via: Sequence[str]) -> tuple[tuple[str, int], frozenset[int]]:
-    """A connection's junction and index there, and the indices of those that go first; the index is in the name of its
-    internal lane: that of its edge's first lane and the lane's place in the edge."""
+    """Return a connection's junction and index, and the indices of the connections that go first.
+
+    The name of the internal lane gives the index: it is the index of its edge's first lane plus the lane's place in the
+    edge.
+    """
     parts = via[0].rsplit("_", 2) if via else []
     if len(parts) != 3 or not (parts[1].isdigit() and parts[2].isdigit()):
         return ("", -1), frozenset()

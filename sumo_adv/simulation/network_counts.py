@@ -1,4 +1,4 @@
-"""What a SUMO network has, by kind."""
+"""Count what a SUMO network contains, by kind."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LANE_KINDS = (
     ("bus", "bus lanes"), ("tram", "tram lanes"), ("rail", "railway lanes"), ("bicycle", "cycle lanes"),
     ("pedestrian", "foot lanes"),
 )  # fmt: skip
-"""Classes that make a lane without cars one of a kind, in this order."""
+"""Classes that determine the kind of a lane without cars, in this order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,10 +21,10 @@ class NetworkCounts:
     """Counts of a network.
 
     Attributes:
-        edges: Edges outside of junctions by SUMO's function of them; that of a road is ``normal``.
+        edges: Edges by SUMO's function; that of a road is ``normal``.
         lanes: Lanes of roads by kind: ``CAR_LANES``, one of ``LANE_KINDS`` or ``other lanes``.
-        junctions: Junctions where roads meet by SUMO's type of them.
-        others: Further elements by their tag.
+        junctions: Junctions by SUMO's type, without internal junctions and dead ends.
+        others: Further elements by tag.
         original_ids: Ids of the roads or lanes of the map that the network was converted from.
     """
 
@@ -36,7 +36,17 @@ class NetworkCounts:
 
 
 def count_network(network: Path) -> NetworkCounts:
-    """Count what a network has. Raises UsageError if it cannot be read."""
+    """Count what a network contains.
+
+    Args:
+        network: The network file.
+
+    Returns:
+        The counts.
+
+    Raises:
+        UsageError: The file cannot be read.
+    """
     edges, lanes, junctions, others = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
     ids: set[str] = set()
     function = ""
@@ -60,6 +70,7 @@ def count_network(network: Path) -> NetworkCounts:
 
 
 def _kind(lane: dict[str, str]) -> str:
+    """Return the kind of a lane."""
     if allows_passenger(lane):
         return CAR_LANES
     allowed = lane.get("allow", "").split()

@@ -1,10 +1,13 @@
-"""Reads ASAM OpenDRIVE 1.x, and writes it so that netconvert means what the standard means.
+"""Read ASAM OpenDRIVE 1.x, and write it so that netconvert understands it as the standard means it.
 
-netconvert 1.28 reads neither the limits of ``<type>`` nor limits in words, knows no ``rule``, puts the lanes of
-left-hand roads on the wrong side, does not know all types of lanes, takes ``<border>`` for no width, and closes the
-gap that a median or a border within the road leaves. So limits are written to the lanes in m/s, left-hand roads are
-mirrored in their lane numbers, borders become widths, and what lies between lanes, or between them and the middle, is
-kept as lanes that are closed to all.
+netconvert 1.28 reads neither the limits of ``<type>`` nor limits in words. It ignores ``rule`` and puts the lanes of
+left-hand roads on the wrong side. It does not know all types of lanes, takes ``<border>`` for no width, and closes the
+gap that a median or a border within the road leaves. Therefore:
+
+- limits are written to the lanes in m/s;
+- left-hand roads are mirrored in their lane numbers;
+- borders become widths;
+- what lies between lanes, or between them and the middle, is kept as lanes that are closed to all.
 """
 
 from __future__ import annotations
@@ -24,20 +27,20 @@ from sumo_adv.datatypes import MPH_M_S, Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.map_content import MapContent, parse_map
 
-MAX_ROADS_LENGTH_M = 1e7  # of all roads: netconvert samples curves every 2 m
-SPEED_UNITS_M_S = {"": 1.0, "m/s": 1.0, "km/h": 1 / 3.6, "mph": MPH_M_S}  # m/s; the standard's default is m/s
-NO_LIMIT_M_S = 39.44  # netconvert's own value (142 km/h) where a map says that there is no limit
+MAX_ROADS_LENGTH_M = 1e7  # of all roads together; netconvert samples curves every 2 m
+SPEED_UNITS_M_S = {"": 1.0, "m/s": 1.0, "km/h": 1 / 3.6, "mph": MPH_M_S}  # in m/s; the standard's default unit is m/s
+NO_LIMIT_M_S = 39.44  # netconvert's value (142 km/h) if a map says that there is no limit
 UNKNOWN_LIMIT_M_S = 13.89  # SUMO's type map: lanes for driving
 MOTOR_LANE_TYPES = frozenset({
     "driving", "stop", "restricted", "entry", "exit", "onRamp", "offRamp", "mwyEntry", "mwyExit", "slipLane",
     "connectingRamp", "bus", "taxi", "HOV", "shared", "bidirectional",
 })  # fmt: skip
-"""Types of lanes that limits are written to."""
+"""Types of lanes to which limits are written."""
 OPENDRIVE_LANE_TYPES = MOTOR_LANE_TYPES | {"biking", "sidewalk", "walking", "parking", "roadWorks", "tram", "rail"}
-"""Types that become lanes of SUMO."""
+"""Types of lanes that become SUMO lanes."""
 TRAFFIC_LIGHT_TYPES = frozenset(str(1_000_000 + k) for k in (1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12, 13, 20))
-"""Types of signals that netconvert 1.28 makes traffic lights of."""
-SECTION_SIDE_ORDER = {"left": 0, "center": 1, "right": 2}  # their order in a section
+"""Types of signals that netconvert 1.28 converts to traffic lights."""
+SECTION_SIDE_ORDER = {"left": 0, "center": 1, "right": 2}  # the order of sides in a section
 CLOSED_LANE_TYPE = "restricted"  # SUMO's type map: a lane that no class may use
 NO_ROAD = "rail rail_urban rail_electric rail_fast tram subway cable_car ship drone aircraft container"  # classes
 TYPE_MAP = f"""<types>
@@ -50,14 +53,22 @@ TYPE_MAP = f"""<types>
     <type id="connectingRamp" priority="1" speed="22.22" width="3.65" disallow="pedestrian bicycle moped {NO_ROAD}"/>
 </types>
 """
-"""Types of OpenDRIVE 1.4 to 1.8 that SUMO's type maps lack."""
+"""Lane types of OpenDRIVE 1.4 to 1.8 that SUMO's type maps lack."""
 
 
 def read_opendrive(path: Path) -> MapContent:
-    """The map at ``path``.
+    """Read an OpenDRIVE map.
 
-    Raises UsageError: it is damaged, no OpenDRIVE 1.x in one file, longer than ``MAX_ROADS_LENGTH_M``, has a limit,
-    rule or lane that cannot be understood, two roads of one id, or traffic on both sides."""
+    Args:
+        path: The map.
+
+    Returns:
+        The content of the map.
+
+    Raises:
+        UsageError: The map is damaged, is not OpenDRIVE 1.x in one file, or is longer than ``MAX_ROADS_LENGTH_M``; a
+            limit, rule or lane cannot be understood; two roads have one id; or traffic drives on both sides.
+    """
     parse_map(path, lambda tag, attributes: None, "OpenDRIVE")
     tree = _tree(path)
     root = tree.getroot()
@@ -79,7 +90,9 @@ def read_opendrive(path: Path) -> MapContent:
         if not re.fullmatch(r"[+-]?\d{1,4}", lane.get("id", ""), re.ASCII):
             raise UsageError(f'{path} has a <lane> with id="{lane.get("id", "")[:40]}": give a whole number.')
     for signal in root.iter("signal"):
-        signal.set("type", signal.get("type", "").replace(".", ""))  # the standard's catalogue writes 1.000.001
+        signal.set(
+            "type", signal.get("type", "").replace(".", "")
+        )  # the standard's catalogue writes types as 1.000.001
     lost = _left_out(root)
     kinds = {}
     for road in roads:
@@ -107,7 +120,7 @@ def read_opendrive(path: Path) -> MapContent:
 
 
 def _tree(path: Path) -> ElementTree.ElementTree[Element]:
-    """The whole document, its tags without a namespace."""
+    """Return the whole document, with tags without a namespace."""
     opened = gzip.open if path.name.lower().endswith(".gz") else open
     try:
         with opened(path, "rb") as file:
@@ -120,6 +133,7 @@ def _tree(path: Path) -> ElementTree.ElementTree[Element]:
 
 
 def _number(path: Path, element: Element, name: str, default: str = "") -> float:
+    """Return an attribute as a finite number."""
     text = element.get(name, default)
     try:
         value = float(text)
@@ -131,7 +145,7 @@ def _number(path: Path, element: Element, name: str, default: str = "") -> float
 
 
 def _left_out(root: Element) -> dict[str, int]:
-    """By kind: signs and objects that netconvert does not take, and lanes of two directions, which have one in SUMO."""
+    """Count what is left out: signs and objects that netconvert ignores, and the second direction of two-way lanes."""
     other = [signal for signal in root.iter("signal") if signal.get("type", "") not in TRAFFIC_LIGHT_TYPES]
     counts = {
         "sign": sum(signal.get("dynamic") != "yes" for signal in other),
@@ -145,6 +159,7 @@ def _left_out(root: Element) -> dict[str, int]:
 
 
 def _motor(element: Element) -> Iterator[Element]:
+    """Yield the lanes for motor vehicles."""
     return (lane for lane in element.iter("lane") if lane.get("type") in MOTOR_LANE_TYPES)
 
 
@@ -152,8 +167,11 @@ def _motor(element: Element) -> Iterator[Element]:
 
 
 def _left_hand(path: Path, roads: list[Element]) -> bool:
-    """Whether traffic drives on the left. A road without a rule is right-hand; within a junction it is as its arms, and
-    a road without motor traffic has no side."""
+    """Return whether traffic drives on the left.
+
+    A road without a rule is right-hand. Within a junction, such a road follows its arms. A road without motor traffic
+    has no side.
+    """
     sides: dict[bool, list[str]] = {False: [], True: []}
     for road in roads:
         name = road.get("id", "")
@@ -183,10 +201,10 @@ def _some(names: list[str]) -> str:
 
 
 def _mirror(section: Element) -> None:
-    """Give lanes the opposite numbers, and the other side's name.
+    """Negate the lane numbers of a section, and swap the names of its sides.
 
-    With ``--lefthand`` netconvert puts lanes with negative numbers to the left, in the direction of the road. By the
-    standard (``rule="LHT"``) these are the lanes with positive numbers.
+    With ``--lefthand``, netconvert puts lanes with negative numbers to the left, in the direction of the road. By the
+    standard (``rule="LHT"``), these are the lanes with positive numbers.
     """
     for side in list(section):
         if side.tag not in SECTION_SIDE_ORDER:
@@ -210,7 +228,7 @@ def _negate(element: Element, *names: str) -> None:
 # -- lanes ------------------------------------------------------------------------------------------------------------
 
 
-Pieces = list[tuple[float, Floats]]  # where each begins [m], and a, b, c, d of its cubic from there
+Pieces = list[tuple[float, Floats]]  # where each piece begins [m], and a, b, c, d of its cubic from there
 
 
 def _write_widths(path: Path, side: Element) -> None:
@@ -219,7 +237,7 @@ def _write_widths(path: Path, side: Element) -> None:
     inner: Pieces = [(0.0, np.zeros(4))]
     for lane in _from_the_middle(side):
         widths, borders = _pieces(path, lane, "width"), _pieces(path, lane, "border")
-        if borders and not widths:  # the standard: widths go before borders
+        if borders and not widths:  # by the standard, widths override borders
             widths = [(s, sign * (_cubic_at(borders, s) - _cubic_at(inner, s))) for s in _starts(inner, borders)]
             for s, cubic in widths:
                 values = zip(("sOffset", *"abcd"), (s, *cubic.tolist()), strict=True)
@@ -229,11 +247,12 @@ def _write_widths(path: Path, side: Element) -> None:
 
 
 def _from_the_middle(side: Element) -> list[Element]:
+    """Return the lanes of a side, from the middle outwards."""
     return sorted(side.findall("lane"), key=lambda lane: abs(int(lane.get("id", "0"))))
 
 
 def _pieces(path: Path, lane: Element, tag: str) -> Pieces:
-    """The cubics of ``<width>`` or ``<border>``, in order."""
+    """Return the cubics of ``<width>`` or ``<border>``, in order."""
     found = [
         (_number(path, each, "sOffset", "0"), np.array([_number(path, each, name, "0") for name in "abcd"]))
         for each in lane.findall(tag)
@@ -242,19 +261,23 @@ def _pieces(path: Path, lane: Element, tag: str) -> Pieces:
 
 
 def _starts(one: Pieces, other: Pieces) -> list[float]:
+    """Return where pieces of either polynomial begin, in order [m]."""
     return sorted({s for s, _ in (*one, *other)})
 
 
 def _cubic_at(pieces: Pieces, s: float) -> Floats:
-    """The cubic that holds at ``s``, counted from there."""
+    """Return the cubic that holds at ``s`` [m], shifted so that it starts there."""
     start, (a, b, c, d) = next((piece for piece in reversed(pieces) if piece[0] <= s), pieces[0])
     h = s - start
     return np.array([a + h * (b + h * (c + h * d)), b + h * (2 * c + 3 * h * d), c + 3 * h * d, d])
 
 
 def _close_gaps(side: Element) -> None:
-    """Keep what lies between a lane and the middle, such as a median or a border, as a closed lane; its own type
-    becomes ``was``. Without a width it is 0 m wide, where netconvert would take 3.65 m."""
+    """Keep what lies between a lane and the middle, such as a median or a border, as a closed lane.
+
+    The lane's own type moves to the attribute ``was``. A lane without a width becomes 0 m wide, because netconvert
+    would assume 3.65 m.
+    """
     lanes = _from_the_middle(side)
     kept = [k for k, lane in enumerate(lanes) if lane.get("type") in OPENDRIVE_LANE_TYPES]
     for lane in lanes[: kept[-1]] if kept else ():
@@ -265,11 +288,11 @@ def _close_gaps(side: Element) -> None:
                 SubElement(lane, "width", sOffset="0", a="0", b="0", c="0", d="0")
 
 
-Limit = tuple[float, float | None]  # where it begins [m], and the limit [m/s]; None: not given
+Limit = tuple[float, float | None]  # where the limit begins [m], and the limit [m/s]; None if not given
 
 
 def _write_limits(path: Path, road: Element) -> None:
-    """Write the limits of the road's types to those lanes that have none of their own there."""
+    """Write the limits of the road's types to the lanes that have no limit of their own there."""
     types = _sorted((_number(path, each, "s", "0"), _limit(path, each.find("speed"))) for each in road.findall("type"))
     for section in road.iter("laneSection"):
         start = _number(path, section, "s", "0")
@@ -294,7 +317,7 @@ def _sorted(limits: Iterable[Limit]) -> list[Limit]:
 
 
 def _merged(general: list[Limit], own: list[Limit]) -> Iterator[Limit]:
-    """The limit along a lane: its own from where one begins; where that is not given, and before, the road's."""
+    """Yield the limits along a lane: its own from where one begins, and the road's where it has none."""
 
     def at(limits: list[Limit], offset: float) -> float | None:
         return next((limit for s, limit in reversed(limits) if s <= offset), None)
@@ -305,7 +328,7 @@ def _merged(general: list[Limit], own: list[Limit]) -> Iterator[Limit]:
 
 
 def _limit(path: Path, speed: Element | None) -> float | None:
-    """A limit [m/s]; None where it is not given, undefined or not above 0."""
+    """Return a limit [m/s]; None if it is absent, undefined or not above 0."""
     text = "undefined" if speed is None else speed.get("max", "undefined").strip()
     if speed is None or text == "undefined":
         return None

@@ -1,9 +1,9 @@
-"""Reads OpenStreetMap XML, and writes it so that netconvert finds all of it.
+"""Read OpenStreetMap XML, and write it so that netconvert understands all of it.
 
-netconvert 1.28 wants nodes before ways, draws a way straight across a node that the file lacks, reads bus and cycle
-lanes only from tags that name a side or each lane, and of what is said about cars knows ``access`` alone. So nodes are
-written first (also those that ways carry themselves, as Overpass's ``out geom`` writes them), ways are cut where nodes
-are missing, and tags are made explicit.
+netconvert 1.28 expects nodes before ways, and draws a way straight across a node that the file lacks. It reads bus and
+cycle lanes only from tags that name a side or each lane. Of the tags on access for cars, it knows only ``access``.
+Therefore nodes are written first, including those that ways carry themselves (Overpass's ``out geom`` writes them).
+Ways are cut where nodes are missing, and tags are made explicit.
 """
 
 from __future__ import annotations
@@ -23,24 +23,34 @@ from xml.sax.saxutils import quoteattr
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.map_content import MapContent, parse_map
 
-MAX_LANES_OF_WAY = 30  # of a way: the widest roads there are have some 25, and netconvert makes as many as it is told
+MAX_LANES_OF_WAY = 30  # the widest real roads have about 25 lanes, and netconvert creates any number that a tag gives
 LANE_COUNTS = ("lanes", "lanes:forward", "lanes:backward", "lanes:both_ways")
 PUBLIC = ("bus", "psv")
 ALLOWING = ("yes", "designated", "official")
 CLOSING = ("access", "vehicle", "motor_vehicle")
-OF_CARS = ("motorcar", "motor_vehicle", "vehicle", "access")  # OpenStreetMap's order: the first that is given holds
+OF_CARS = ("motorcar", "motor_vehicle", "vehicle", "access")  # OpenStreetMap's order; the first that is given holds
 CLOSED_TO_CARS = frozenset(("no", "agricultural", "forestry", "emergency", "military", "bus", "psv", "taxi"))
 SIDED = ("sidewalk", "cycleway", "busway")
 SWAP = {"left": "right", "right": "left"}
 ONE_WAY = ("motorway", "motorway_link")
-FIRST_PIECE_ID = 10**17  # id of the first piece of a way that was cut; OpenStreetMap's ids have 11 digits
+FIRST_PIECE_ID = 10**17  # first id for the pieces of ways that were cut; OpenStreetMap's ids have 11 digits
 Tags = dict[str, str]
 
 
 def read_openstreetmap(path: Path) -> MapContent:
-    """The map at ``path``. Raises UsageError: it is damaged, no OpenStreetMap, or has a way with too many lanes."""
+    """Read an OpenStreetMap file.
+
+    Args:
+        path: The map.
+
+    Returns:
+        The content of the map.
+
+    Raises:
+        UsageError: The map is damaged, is not OpenStreetMap, or has a way with too many lanes.
+    """
     parse_map(path, lambda tag, attributes: None, "osm")
-    known: set[str] = set()  # ids of nodes that have a place
+    known: set[str] = set()  # ids of nodes whose place is known
     kinds: dict[str, str] = {}
     nodes: dict[str, list[str]] = {}
     lost: Counter[str] = Counter()
@@ -75,7 +85,7 @@ def read_openstreetmap(path: Path) -> MapContent:
 
 
 def _elements(path: Path) -> Iterator[Element]:
-    """Nodes, ways and relations one at a time, without those that an editor (JOSM) or a history marks as deleted."""
+    """Yield nodes, ways and relations, without those that an editor (JOSM) or a history marks as deleted."""
     opened = gzip.open if path.name.lower().endswith(".gz") else open
     with opened(path, "rb") as file:
         root: Element | None = None
@@ -93,14 +103,14 @@ def _tags(element: Element) -> Tags:
 
 
 def _placed(element: Element) -> Iterator[str]:
-    """The nodes that an element gives a place: itself, or those of a way that carries them."""
+    """Yield the ids of nodes that an element places: its own, or those of the nodes that a way carries."""
     for node, name in ((element, "id"), *((each, "ref") for each in element.iterfind("nd"))):
         if "lat" in node.attrib and "lon" in node.attrib:
             yield node.get(name, "")
 
 
 def _check_lanes(path: Path, way: str, tags: Tags) -> None:
-    """Refuse a way that would cost netconvert the memory."""
+    """Refuse a way with so many lanes that netconvert would run out of memory."""
     for key, value in tags.items():
         number = _count(value) if key in LANE_COUNTS else value.count("|") + 1 if ":lanes" in key else None
         if number is not None and number > MAX_LANES_OF_WAY:
@@ -111,7 +121,7 @@ def _check_lanes(path: Path, way: str, tags: Tags) -> None:
 
 
 def _count(text: str) -> int | None:
-    """The number that a tag gives, rounded down; None: it gives none."""
+    """Return the number that a tag gives, rounded down; None if it gives none."""
     try:
         return int(float(text))
     except (ValueError, OverflowError):
@@ -122,7 +132,7 @@ def _count(text: str) -> int | None:
 
 
 def _write(path: Path, known: Set[str], left_hand: bool, target: Path) -> None:
-    """Nodes, then everything else."""
+    """Write the nodes, then everything else."""
     numbers = itertools.count(FIRST_PIECE_ID)
     written: set[str] = set()
     with tempfile.TemporaryFile() as later, target.open("wb") as out:
@@ -150,7 +160,7 @@ def _write(path: Path, known: Set[str], left_hand: bool, target: Path) -> None:
 
 
 def _node(node: Element) -> bytes:
-    """A node as text; most have no tags, and a quick way then."""
+    """Return a node as text. Most nodes have no tags, and these take a faster path."""
     if len(node):
         return ElementTree.tostring(node)
     name, lat, lon = (quoteattr(node.get(key, "")) for key in ("id", "lat", "lon"))
@@ -158,14 +168,14 @@ def _node(node: Element) -> bytes:
 
 
 def _runs(nodes: Sequence[str], known: Set[str]) -> list[slice]:
-    """The parts of a way between nodes that are missing, the longest first."""
+    """Return the parts of a way between missing nodes, the longest first."""
     gaps = [-1, *(k for k, node in enumerate(nodes) if node not in known), len(nodes)]
     runs = [slice(a + 1, b) for a, b in itertools.pairwise(gaps) if b - a > 2]
     return sorted(runs, key=lambda run: run.start - run.stop)
 
 
 def _pieces(way: Element, known: Set[str], numbers: Iterator[int]) -> Iterator[Element]:
-    """The way, cut where nodes are missing; the longest piece keeps the id, which relations may name."""
+    """Yield the way, cut where nodes are missing. The longest piece keeps the id, because relations may name it."""
     nodes = way.findall("nd")
     for k, run in enumerate(_runs([node.get("ref", "") for node in nodes], known)):
         piece = Element("way", {**way.attrib, "id": str(next(numbers))} if k else way.attrib)
@@ -175,7 +185,7 @@ def _pieces(way: Element, known: Set[str], numbers: Iterator[int]) -> Iterator[E
 
 
 def _explicit(way: Element, left_hand: bool) -> Element:
-    """The way with its bus and cycle lanes, and what cars may, in tags that netconvert reads."""
+    """Return the way with its bus and cycle lanes and its access for cars in tags that netconvert reads."""
     tags = _tags(way)
     if "highway" not in tags:
         return way
@@ -188,7 +198,7 @@ def _explicit(way: Element, left_hand: bool) -> Element:
 
 
 def _access_of_cars(tags: Tags) -> Tags:
-    """Whether cars may use the way, as ``access``; nothing where no tag says so."""
+    """Return whether cars may use the way, as an ``access`` tag; no tag if none of the given ones tells."""
     given = next((tags[key] for key in OF_CARS if key in tags), None)
     if given is None:
         return {}
@@ -196,7 +206,7 @@ def _access_of_cars(tags: Tags) -> Tags:
 
 
 def _closed_directions(tags: Tags) -> int:
-    """Directions of a road both ways that are closed to cars, which netconvert leaves open."""
+    """Count the directions of a two-way road that are closed to cars, which netconvert leaves open."""
     if "highway" not in tags or _is_one_way(tags):
         return 0
     return sum(
@@ -213,8 +223,10 @@ def _is_one_way(tags: Tags) -> bool:
 
 
 def _sides(tags: Tags, left_hand: bool) -> Tags:
-    """Name the sides of cycle and bus lanes (a one-way road has them at the kerb). netconvert calls the kerb's side
-    "right", also with ``--lefthand``."""
+    """Name the sides of cycle and bus lanes, which are at the kerb on a one-way road.
+
+    netconvert calls the kerb's side "right", even with ``--lefthand``.
+    """
     made = dict(tags)
     kerb = "left" if left_hand else "right"
     for key in ("cycleway", "busway"):
@@ -233,8 +245,11 @@ def _sides(tags: Tags, left_hand: bool) -> Tags:
 
 
 def _lanes_of_buses(tags: Tags, left_hand: bool) -> Tags:
-    """Name the lanes that are for buses only: from their number (``lanes:bus``, at the kerb), or from lanes that are
-    closed to others (``access:lanes``)."""
+    """Name the lanes that are for buses only.
+
+    They follow from their number (``lanes:bus``, at the kerb), or from lanes that are closed to others
+    (``access:lanes``).
+    """
     made = dict(tags)
     for kind in PUBLIC:
         for direction in ("", ":forward", ":backward"):
@@ -250,7 +265,7 @@ def _lanes_of_buses(tags: Tags, left_hand: bool) -> Tags:
 
 
 def _number_for(tags: Tags, kind: str, direction: str) -> int:
-    """The number of lanes for buses in a direction; of a road both ways that gives one number, half of them."""
+    """Return the number of bus lanes in a direction: half of them if a two-way road gives one number."""
     own = _count(tags.get(f"lanes:{kind}{direction}", ""))
     if own is not None or not direction or _is_one_way(tags):
         return own or 0
@@ -258,14 +273,14 @@ def _number_for(tags: Tags, kind: str, direction: str) -> int:
 
 
 def _is_without_side(tags: Tags) -> bool:
-    """Whether a road both ways has an odd number of lanes for buses, and does not say in which direction."""
+    """Return whether a two-way road has an odd number of bus lanes without naming their direction."""
     odd = any((_count(tags.get(f"lanes:{kind}", "")) or 0) % 2 for kind in PUBLIC)
     said = any(key.startswith(("bus:lanes", "psv:lanes", "busway:", "lanes:bus:", "lanes:psv:")) for key in tags)
     return odd and not said and "highway" in tags and not _is_one_way(tags)
 
 
 def _closed_lanes(tags: Tags) -> int:
-    """Lanes that are closed to cars and open to neither buses nor bicycles: netconvert leaves them open."""
+    """Count lanes that are closed to cars and open to neither buses nor bicycles, which netconvert leaves open."""
     number = 0
     for direction in ("", ":forward", ":backward"):
         shut = [tags[f"{c}:lanes{direction}"].split("|") for c in CLOSING if f"{c}:lanes{direction}" in tags]
@@ -277,7 +292,7 @@ def _closed_lanes(tags: Tags) -> int:
 
 
 def _designated(text: str, closed: str) -> str:
-    """``bus:lanes`` with the lanes that are open to buses and closed to others as designated ones."""
+    """Return ``bus:lanes`` with the lanes that are open to buses and closed to others marked as designated."""
     words, shut = text.split("|"), closed.split("|")
     if len(words) != len(shut):
         return text
@@ -285,7 +300,7 @@ def _designated(text: str, closed: str) -> str:
 
 
 def _lanes(tags: Tags, direction: str) -> int | None:
-    """The number of lanes of a direction, "" being that of a one-way road; None: not known."""
+    """Return the number of lanes in a direction, "" meaning that of a one-way road; None if unknown."""
     whole = _count(tags.get("lanes", ""))
     if not direction:
         return whole if _is_one_way(tags) else None

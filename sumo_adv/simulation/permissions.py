@@ -16,7 +16,7 @@ CARS = frozenset({
 HEAVY = frozenset({"bus", "coach", "delivery", "truck", "trailer"})
 TWO_WHEELED = frozenset({"motorcycle", "moped"})
 MOTOR = CARS | HEAVY | TWO_WHEELED | {EVERYWHERE}
-"""Classes of motor vehicles of the road: what a carriageway is for, and what can attack like a car."""
+"""Classes of motor vehicles on roads. Carriageways are for them, and they can attack like a car."""
 CYCLES = frozenset({"bicycle", "scooter"})
 """Classes that ride like a bicycle."""
 ON_FOOT = frozenset({"pedestrian", "wheelchair"})
@@ -29,12 +29,19 @@ ALL_CLASSES = MOTOR | CYCLES | ON_FOOT | OFF_ROAD_CLASSES
 
 
 def allowed(names: Collection[str]) -> frozenset[str]:
-    """The classes that a list of allowed ones, as sumolib reads it, means; ``all`` means every one."""
+    """Return the classes that a list of allowed ones means.
+
+    Args:
+        names: The list as sumolib reads it; ``all`` means every class.
+
+    Returns:
+        The classes.
+    """
     return ALL_CLASSES if "all" in names else (ALL_CLASSES & frozenset(names)) | {EVERYWHERE}
 
 
 def classes_of(lane: Mapping[str, str]) -> frozenset[str]:
-    """The classes that the ``allow`` or ``disallow`` of a lane in a net.xml lets in."""
+    """Return the classes that ``allow`` or ``disallow`` of a lane in a net.xml admits."""
     if "allow" in lane:
         return allowed(lane["allow"].split())
     out = frozenset(lane.get("disallow", "").split())
@@ -42,12 +49,15 @@ def classes_of(lane: Mapping[str, str]) -> frozenset[str]:
 
 
 def is_carriageway(classes: Collection[str]) -> bool:
-    """Whether motor vehicles of some class may use a lane for these classes."""
+    """Return whether motor vehicles of some class may use a lane for these classes."""
     return not (MOTOR - {EVERYWHERE}).isdisjoint(classes)
 
 
 def is_paved(classes: Collection[str]) -> bool:
-    """Whether a car that leaves its lane can drive on a lane for these classes: on one for motor vehicles or cycles.
-    Sidewalks (pedestrians alone, or with cycles) and tracks are left out."""
+    """Return whether a car that leaves its lane can drive on a lane for these classes.
+
+    It can drive on lanes for motor vehicles or cycles. Sidewalks (for pedestrians alone, or with cycles) and tracks are
+    excluded.
+    """
     cycle_track = not CYCLES.isdisjoint(classes) and ON_FOOT.isdisjoint(classes)
     return is_carriageway(classes) or cycle_track

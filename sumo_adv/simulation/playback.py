@@ -1,13 +1,13 @@
-"""A log played back beside SUMO's traffic: which vehicles it moves, when, and when they are handed over.
+"""Play a log back beside SUMO's traffic: which vehicles the log moves, when, and when they are handed over.
 
-Up to the hand-over (the ego's first recorded step and the scenario's warm-up) the log moves every recorded vehicle.
-Then the ego gets its driver. Each other vehicle is handed to SUMO once it is on a lane (``background`` "sumo"), or goes
-on as recorded ("log") until the log says no more of it.  A vehicle that comes later is inserted as it comes; to be
-handed to SUMO its place must be free.  Vehicles without a route are never handed over.  Whatever the ego's driver or an
-attack drives, the log leaves alone for good.
+The hand-over is at the ego's first recorded step plus the scenario's warm-up. Until then, the log moves every recorded
+vehicle. Then the ego gets its driver. Each other vehicle is handed to SUMO once it is on a lane (``background``
+"sumo"), or continues as recorded ("log") until its recording ends. A vehicle that appears later is inserted when it
+appears. It is handed to SUMO only if its place is free. Vehicles without a route are never handed over. Once the ego's
+driver or an attack drives a vehicle, the log never moves it again.
 
-Other objects are boxes beside SUMO, except parked ones with their centre in a lane: these are standing SUMO vehicles,
-so that SUMO's drivers see it.
+Other objects are boxes beside SUMO. The exception is a parked object with its centre in a lane: it is a standing SUMO
+vehicle, so that SUMO's drivers see it.
 """
 
 from __future__ import annotations
@@ -27,16 +27,32 @@ from sumo_adv.simulation.stage import Stage
 from sumo_adv.simulation.sumo_states import RawState, heading_of, raw_of
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 
-OBJECTS = {"pedestrian": "pedestrian", "cyclist": "bicycle"}  # kinds of a log -> SUMO's vClasses
-INSERTION_ROOM_M = 1.0  # before and behind a vehicle that is inserted for SUMO to drive
+OBJECTS = {"pedestrian": "pedestrian", "cyclist": "bicycle"}  # SUMO's vClasses by the log's kinds
+INSERTION_ROOM_M = 1.0  # free space before and behind a vehicle that is inserted for SUMO to drive
 
 
 class Playback:
-    """Plays one spec back in one simulation; ``start`` makes it ready for a simulation that was just loaded."""
+    """Plays one spec back in one simulation. Call ``start`` for each simulation that was just loaded.
+
+    Attributes:
+        spec: What is played back.
+        log: The recorded tracks on the grid of the simulation; None without tracks.
+        hand_over: The time from which vehicles can be handed over [s].
+    """
 
     def __init__(
         self, spec: PlaybackSpec, road: RoadMap, *, begin: float, step: float, ego: str | None, warm_up: float
     ):
+        """Read the files of the spec.
+
+        Args:
+            spec: What is played back.
+            road: The network.
+            begin: The time at which the simulation begins [s].
+            step: Its step length [s].
+            ego: The id of a recorded ego; None if it is chosen later.
+            warm_up: How long the log moves all vehicles after the ego appears [s].
+        """
         log = read_tracks(spec.tracks) if spec.tracks is not None else None
         self.spec = spec
         self.log: TrackLog | None = None if log is None else log.resampled(begin, step)
@@ -57,12 +73,12 @@ class Playback:
         self._step = step
 
     def start(self, simulation: Simulation) -> None:
-        """Nothing has been played back yet in ``simulation``."""
+        """Prepare for a simulation in which nothing has been played back yet."""
         self._stage = Stage(simulation)
         self._free: set[str] = set()  # driven by SUMO, the ego's driver or an attack
-        self._kept: set[str] = set()  # never handed over: a replayed ego
-        self._moved: dict[str, Pose] = {}  # by the log, in the present step
-        self._gone: list[str] = []  # vehicles that the log ends in the present step
+        self._kept: set[str] = set()  # a replayed ego, which is never handed over
+        self._moved: dict[str, Pose] = {}  # poses by the log in the present step
+        self._gone: list[str] = []  # vehicles whose recording ends in the present step
         self._on_lanes: set[str] = set()  # vehicles that the log had on a lane in the last step
         self._shown: dict[str, str | None] = {}
         self._fleet = simulation.fleet
@@ -71,7 +87,7 @@ class Playback:
 
     @property
     def obstacles(self) -> frozenset[str]:
-        """Ids of all that is no vehicle in SUMO."""
+        """Ids of all objects that are not vehicles in SUMO."""
         return self.spec.obstacles | self._beside
 
     @property
@@ -85,8 +101,10 @@ class Playback:
         return tuple(sorted(self._beside))
 
     def put_beside(self, vehicles: Collection[str]) -> None:
-        """Play these recorded vehicles, and no others, as boxes beside SUMO: it crashes on one of them. Before
-        ``start``."""
+        """Play these recorded vehicles, and no others, as boxes beside SUMO, because SUMO crashes on one of them.
+
+        Call it before ``start``.
+        """
         recorded = {**self._vehicles, **{name: self._boxes[name] for name in self._beside}}
         boxes = {name: box for name, box in self._boxes.items() if name not in self._beside}
         self._beside = frozenset(vehicles)
@@ -94,26 +112,42 @@ class Playback:
         self._boxes = {**boxes, **{name: recorded[name] for name in vehicles}}
 
     def kind(self, obstacle: str) -> str:
-        """What an object that is no vehicle is: ``pedestrian``, ``bicycle`` or ``obstacle``."""
+        """Return what an object that is not a vehicle is: ``pedestrian``, ``bicycle`` or ``obstacle``."""
         logged = None if self.log is None else self.log.tracks.get(obstacle)
         kind = self._placed.get(obstacle, "other") if logged is None else logged.kind
         return OBJECTS.get(kind, "obstacle")
 
     def placed(self, obstacle: str) -> bool:
-        """Whether the scenario itself, not a log, has put this pedestrian or cyclist there."""
+        """Return whether the scenario itself, rather than a log, places this pedestrian or cyclist."""
         return self._placed.get(obstacle) in OBJECTS
 
     # -- the drivers -------------------------------------------------------------------------------------------------
 
     def may_take(self, vehicle: str, raw: Mapping[str, RawState], now: float, *, replayed: bool) -> bool:
-        """Whether the ego's driver can have a vehicle now: from the hand-over on, and on a lane unless ``replayed``."""
+        """Return whether the ego's driver can take a vehicle now.
+
+        Args:
+            vehicle: The id of the vehicle.
+            raw: SUMO's present states.
+            now: The present time [s].
+            replayed: Whether the log will move the ego; otherwise the vehicle must be on a lane.
+
+        Returns:
+            Whether it can. A recorded vehicle cannot be taken before the hand-over.
+        """
         if vehicle not in self._vehicles:
             return True
         return now >= self.hand_over - 1e-6 and (replayed or raw[vehicle][4] in self._lanes)
 
     def take(self, vehicle: str, speed: float, factor: float, *, replayed: bool) -> None:
-        """The vehicle, going at ``speed`` [m/s], is the ego now: its driver goes for ``factor`` times the limit, or it
-        is ``replayed`` by the log."""
+        """Make a vehicle the ego.
+
+        Args:
+            vehicle: The id of the vehicle.
+            speed: Its present speed [m/s].
+            factor: The share of the speed limit that its driver aims for.
+            replayed: Whether the log moves it instead of a driver.
+        """
         if vehicle not in self._vehicles:
             return
         if replayed:
@@ -123,19 +157,31 @@ class Playback:
             self._stage.hand_over(vehicle, speed, self.spec.routes.get(vehicle, ()), factor)
 
     def replays(self, vehicle: str) -> bool:
-        """Whether the log moves the ego ``vehicle`` on."""
+        """Return whether the log moves this ego."""
         return vehicle in self._kept
 
     def last(self, ego: str | None) -> float:
-        """The last time [s] that means anything: the log's end where it moves the background or the ego."""
+        """Return the time after which the simulation is meaningless [s].
+
+        Args:
+            ego: The id of the ego.
+
+        Returns:
+            The end of the log if it moves the background or the ego; inf otherwise.
+        """
         ends = self.spec.follows_log or (ego is not None and ego in self._kept)
         return self.spec.end if ends else math.inf
 
     # -- one step ---------------------------------------------------------------------------------------------------
 
     def before_step(self, raw: Mapping[str, RawState], now: float, driven: dict[str, Pose]) -> None:
-        """Add to ``driven`` the vehicles that the log moves in the step that begins ``now``; insert and hand over.
-        ``raw``: SUMO's present states; ``driven``: the vehicles that others place in this step, and where."""
+        """Insert, hand over and move recorded vehicles for the next step.
+
+        Args:
+            raw: SUMO's present states.
+            now: The time at which the step begins [s].
+            driven: The poses at which others place vehicles in this step. The poses of the log are added to it.
+        """
         then = round(now + self._step, 6)
         self._moved, self._gone = {}, []
         hands_over = self.spec.background == "sumo" and now >= self.hand_over - 1e-6
@@ -165,14 +211,17 @@ class Playback:
             driven[name] = self._moved[name] = pose
         self._stand(raw, then, driven)
         for name in sorted(self._boxes.keys() & driven.keys() - self._free):
-            self._spawn(self._boxes[name], (), driven[name])  # from now on SUMO's drivers see it
+            self._spawn(self._boxes[name], (), driven[name])  # SUMO's drivers see it from now on
             self._free.add(name)
         if self._signals is not None:
             self._show(self._signals, then)
 
     def _keep_apart(self, name: str, vehicle: PlayedObject, pose: Pose, lane: str) -> None:
-        """Insert a vehicle anew once it has left all lanes. Measured with SUMO 1.28: moving it on can crash SUMO, after
-        its route was rewritten to the edge that it left."""
+        """Insert a vehicle again once it has left all lanes.
+
+        Measured with SUMO 1.28: moving it further can crash SUMO after its route was rewritten to the edge that it
+        left.
+        """
         if lane:
             self._on_lanes.add(name)
         elif name in self._on_lanes:
@@ -181,14 +230,17 @@ class Playback:
             self._spawn(vehicle, self.spec.routes.get(name, ()), pose)
 
     def injected(self, driven: Mapping[str, Pose]) -> None:
-        """What is put where in the present step: a driver in a replayed ego may have replaced the log's pose. The ego's
-        driver has acted, so vehicles without a logged pose are needed no more: they are removed."""
+        """Note the poses of the present step, and remove vehicles without a logged pose.
+
+        A driver in a replayed ego may have replaced the log's pose. The ego's driver has acted, so those vehicles are
+        no longer needed.
+        """
         self._moved = {name: driven[name] for name in self._moved}
         for name in self._gone:
             self._stage.remove(name)
 
     def _show(self, signals: SignalLog, then: float) -> None:
-        """Recorded lights, until the log ends."""
+        """Show the recorded lights until the log ends."""
         states: Mapping[str, str | None] = signals.states(then)
         if then > self.spec.end + 1e-6:
             states = dict.fromkeys(states)
@@ -198,6 +250,7 @@ class Playback:
                 self._shown[light] = state
 
     def _stand(self, raw: Mapping[str, RawState], then: float, driven: dict[str, Pose]) -> None:
+        """Keep parked objects at their places in SUMO."""
         for name, (prop, edge) in self._standing.items():
             if name in driven or name in self._free:
                 self._free.add(name)
@@ -215,7 +268,7 @@ class Playback:
         self._stage.spawn(vehicle.id, edges, pose, (vehicle.length, vehicle.width))
 
     def _room(self, vehicle: PlayedObject, pose: Pose, raw: Mapping[str, RawState]) -> bool:
-        """Whether the place at which a vehicle will be inserted is free, also just before and behind it."""
+        """Return whether the place at which a vehicle will be inserted is free, with a margin before and behind it."""
         c, s = math.cos(pose.heading), math.sin(pose.heading)
         for name, (x, y, angle_deg, speed, _) in raw.items():
             length, width = self._fleet.sizes[name]
@@ -227,8 +280,17 @@ class Playback:
         return True
 
     def after_step(self, raw: Mapping[str, RawState], time: float) -> dict[str, RawState]:
-        """SUMO's states at ``time`` [s] with the log's speeds, and all that is there and no SUMO vehicle. SUMO clips
-        the speed of a moved vehicle in some steps in which it comes onto another lane."""
+        """Return the states with the log's speeds and with all objects beside SUMO.
+
+        SUMO clips the speed of a moved vehicle in some steps in which it enters another lane.
+
+        Args:
+            raw: SUMO's states.
+            time: Their time [s].
+
+        Returns:
+            The states by id.
+        """
         states = dict(raw)
         for name, pose in self._moved.items():
             if name in raw:
@@ -243,7 +305,7 @@ class Playback:
     # -- what the log says --------------------------------------------------------------------------------------------
 
     def ahead(self, vehicle: str, now: float) -> Floats:
-        """Where the log takes a vehicle from ``now`` on, ``(n, 2)`` box centres [m]."""
+        """Return the box centres of a vehicle in the log from ``now`` [s] on, ``(n, 2)`` [m]."""
         if self.log is None or vehicle not in self.log.tracks:
             return np.empty((0, 2))
         track = self.log.track(vehicle)
@@ -251,5 +313,5 @@ class Playback:
         return np.column_stack([track.x[keep], track.y[keep]])
 
     def logged(self) -> list[Track]:
-        """The tracks of the log."""
+        """Return the tracks of the log."""
         return [] if self.log is None else [self.log.track(name) for name in self.log.tracks]

@@ -1,4 +1,4 @@
-"""A rehearsal of a log in forks: recorded vehicles on which SUMO crashes are played back as boxes beside SUMO."""
+"""Rehearse a log in forks, to find recorded vehicles on which SUMO crashes and play them as boxes beside SUMO."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from sumo_adv.errors import SimulationError
 from sumo_adv.simulation.forks import in_forks
 from sumo_adv.simulation.playback import Playback
 
-MAX_VEHICLES_BESIDE = 3  # recorded vehicles on which SUMO crashes
+MAX_VEHICLES_BESIDE = 3  # maximum number of recorded vehicles on which SUMO crashes
 
 
 def put_unplayable_beside(log: Playback, ego: object, play_until: Callable[[float], None]) -> bool:
-    """Put recorded vehicles on which SUMO crashes beside SUMO; each is found by halving.
+    """Put recorded vehicles on which SUMO crashes beside SUMO. Bisection finds each of them.
 
     Args:
         log: The log.
-        ego: The ego's id, or what it is instead; a recorded ego stays in SUMO.
+        ego: The id of a recorded ego, which stays in SUMO; any other object if the ego is not recorded.
         play_until: Loads the simulation and plays the log until a time [s]. It is called in forks.
 
     Returns:
-        Whether there was one. The simulation must then be loaded again.
+        Whether there was such a vehicle. The simulation must then be reloaded.
     """
     survives = partial(_survives, log, play_until)
     beside: list[str] = []
@@ -36,7 +36,7 @@ def put_unplayable_beside(log: Playback, ego: object, play_until: Callable[[floa
 
 
 def _survives(log: Playback, play_until: Callable[[float], None], beside: Sequence[str]) -> bool:
-    """Whether SUMO lives through the log with these vehicles beside it."""
+    """Return whether SUMO survives the log with these vehicles beside it."""
 
     def rehearse() -> bool:
         log.put_beside(beside)

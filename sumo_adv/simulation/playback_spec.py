@@ -1,4 +1,4 @@
-"""What a run plays back beside SUMO's traffic, as a scenario names it and as a manifest keeps it."""
+"""What a run plays back beside SUMO's traffic, as a scenario names it and as a manifest stores it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,20 @@ from sumo_adv.simulation.tracks import LoggedTrack, read_tracks
 
 @dataclass(frozen=True, slots=True)
 class Prop:
-    """A scenario's box: x, y centre [m] at ``start`` [s], heading [rad], speed [m/s]; it is gone after ``end`` [s]."""
+    """A box that a scenario places.
+
+    Attributes:
+        id: The id of the box.
+        x: x of its centre at ``start`` [m].
+        y: y of its centre at ``start`` [m].
+        heading: Its heading [rad].
+        speed: Its speed [m/s].
+        length: Its length [m].
+        width: Its width [m].
+        start: When it appears [s].
+        end: When it disappears [s].
+        kind: pedestrian, cyclist, parked or other.
+    """
 
     id: str
     x: float
@@ -28,10 +41,10 @@ class Prop:
     width: float
     start: float = 0.0
     end: float = math.inf
-    kind: str = "other"  # pedestrian | cyclist | parked | other
+    kind: str = "other"
 
     def pose(self, time: float) -> Pose | None:
-        """Where it is at ``time`` [s]; None before it comes and after it left."""
+        """Return the pose at a time [s]; None before the box appears and after it disappears."""
         if not self.start - 1e-6 <= time <= self.end + 1e-6:
             return None
         gone = self.speed * (time - self.start)
@@ -42,7 +55,13 @@ class Prop:
 
 @dataclass(frozen=True, slots=True)
 class PlayedObject:
-    """An object of a log; its grid begins at ``begin`` [s] with steps of ``step`` [s]."""
+    """An object of a log.
+
+    Attributes:
+        track: Its track.
+        begin: The time at which the track's grid begins [s].
+        step: The step of the grid [s].
+    """
 
     track: LoggedTrack
     begin: float
@@ -50,18 +69,21 @@ class PlayedObject:
 
     @property
     def id(self) -> str:
+        """The id of the object."""
         return self.track.id
 
     @property
     def length(self) -> float:
+        """The length of the object [m]."""
         return self.track.length
 
     @property
     def width(self) -> float:
+        """The width of the object [m]."""
         return self.track.width
 
     def pose(self, time: float) -> Pose | None:
-        """Where the log has it at a time of its grid; None where it is not valid."""
+        """Return the logged pose at a time of the grid [s]; None if the log has no valid state then."""
         k, t = round((time - self.begin) / self.step), self.track
         if not 0 <= k < len(t.valid) or not t.valid[k]:
             return None
@@ -70,11 +92,18 @@ class PlayedObject:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackSpec:
-    """What is played back. Paths exist and hold what they should.
+    """What is played back. The files exist and have been checked.
 
-    background: what drives recorded BVs from the hand-over on; None: not said yet (``with_background`` decides).
-    routes: edges of recorded vehicles, by id; vehicles, obstacles: ids of vehicles and of other objects; begin, end
-    [s]: of the log, 0 and inf without one.
+    Attributes:
+        tracks: The file of recorded tracks.
+        background: What drives recorded BVs from the hand-over on; None if not decided yet (see ``with_background``).
+        signals: The file of recorded traffic lights.
+        props: The boxes that the scenario places.
+        routes: The edges of recorded vehicles by id.
+        vehicles: The ids of recorded vehicles.
+        obstacles: The ids of other objects.
+        begin: When the log begins [s]; 0 without one.
+        end: When the log ends [s]; inf without one.
     """
 
     tracks: Path | None = None
@@ -89,11 +118,12 @@ class PlaybackSpec:
 
     @property
     def follows_log(self) -> bool:
+        """Whether the log drives the background vehicles."""
         return self.background == "log"
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All that a manifest must copy."""
+        """All files that a manifest must copy."""
         return tuple(file for file in (self.tracks, self.signals) if file is not None)
 
 
@@ -101,8 +131,22 @@ def make_playback(
     tracks: Path | None, background: Background | None, signals: Path | None, props: Sequence[Prop],
     route_files: Sequence[Path],
 ) -> PlaybackSpec | None:  # fmt: skip
-    """The spec with what its files say; None without anything to play back. Raises UsageError: a file is missing,
-    damaged or wrong, two things have one id, or there is no log where one is needed."""
+    """Return the spec, with the contents of its files.
+
+    Args:
+        tracks: The file of recorded tracks.
+        background: What drives recorded BVs from the hand-over on; None leaves it open.
+        signals: The file of recorded traffic lights.
+        props: The boxes that the scenario places.
+        route_files: Route files with the routes of recorded vehicles.
+
+    Returns:
+        The spec; None if there is nothing to play back.
+
+    Raises:
+        UsageError: A file is missing, damaged or wrong; two objects have one id; or the background is "log" without
+            tracks.
+    """
     if background == "log" and tracks is None:
         raise UsageError("The background 'log' needs recorded tracks: give a scenario with 'tracks', or choose 'sumo'.")
     if tracks is None and signals is None and not props:
@@ -127,10 +171,21 @@ def make_playback(
 def with_background(
     spec: PlaybackSpec | None, background: Background | None, *, replayed: bool = False
 ) -> PlaybackSpec | None:
-    """The spec with another background, if one is given; else its own; else the log for an ego that is ``replayed``
-    (it would drive into vehicles that go otherwise than recorded) and SUMO for any other.
+    """Return the spec with its background decided.
 
-    Raises UsageError: there are no tracks to take it from.
+    A given background overrides the spec's own. If neither is set, a ``replayed`` ego gets the log, because it would
+    collide with vehicles that deviate from the recording. Any other ego gets SUMO.
+
+    Args:
+        spec: The spec; None if nothing is played back.
+        background: The background that was asked for.
+        replayed: Whether the log moves the ego.
+
+    Returns:
+        The spec.
+
+    Raises:
+        UsageError: A background was asked for, and there are no tracks.
     """
     if background is None:
         if spec is None or spec.background is not None:
@@ -142,7 +197,11 @@ def with_background(
 
 
 def scenario_playback(scenario: Scenario) -> PlaybackSpec | None:
-    """What a scenario plays back. Raises UsageError as :func:`make_playback` does."""
+    """Return what a scenario plays back.
+
+    Raises:
+        UsageError: As for :func:`make_playback`.
+    """
     kinds = {"parked": scenario.parked, "pedestrian": scenario.pedestrians, "cyclist": scenario.cyclists}
     props = [
         Prop(f"{kind}{k}", b.x, b.y, b.heading, b.speed, b.length, b.width, *(b.times or (0.0, math.inf)), kind)

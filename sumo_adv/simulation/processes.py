@@ -1,4 +1,4 @@
-"""Processes of this program: how they start, how they end with the process that started them, and how they ended."""
+"""Start processes, end them together with the process that started them, and say how they ended."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SINGLE_THREAD_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", 
 
 @contextmanager
 def environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set these environment variables for the processes that start within it."""
+    """Set environment variables for the processes that start within this context."""
     saved = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -31,10 +31,10 @@ def environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 @contextmanager
 def allowed_from_daemons() -> Iterator[None]:
-    """Allow a daemonic process, such as a worker of a vectorised environment, to start processes within it.
+    """Allow a daemonic process, such as a worker of a vectorised environment, to start processes within this context.
 
-    ``multiprocessing`` refuses that because such a child would outlive a worker that is killed. The engine does not: it
-    ends when its connection closes.
+    ``multiprocessing`` refuses that, because such a child would outlive a worker that is killed. The engine does not
+    outlive it, because the engine ends when its connection closes.
     """
     me = multiprocessing.current_process()
     daemonic, me.daemon = me.daemon, False
@@ -48,17 +48,20 @@ def allowed_from_daemons() -> Iterator[None]:
 def deferred_interrupts() -> Iterator[None]:
     """Start processes that ignore Ctrl-C from their first instruction on.
 
-    This process gets a Ctrl-C or SIGTERM that comes meanwhile at the end, so that no process is half started.
+    A Ctrl-C or SIGTERM that arrives meanwhile reaches this process at the end of the context, so that no process is
+    left half started.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     from multiprocessing import resource_tracker
 
-    resource_tracker.ensure_running()  # starting it would unblock them
-    received: list[int] = []  # SIGTERM is not blocked: processes inherit that, and SIGTERM ends them
+    resource_tracker.ensure_running()  # starting it later would unblock the signals
+    received: list[
+        int
+    ] = []  # SIGTERM is not blocked, because processes would inherit the block, and SIGTERM must end them
     handlers = dict[int, Any]()
-    if threading.current_thread() is threading.main_thread():  # another thread may get a Ctrl-C that is blocked here
+    if threading.current_thread() is threading.main_thread():  # a Ctrl-C that is blocked here may go to another thread
         handlers = {k: h for k in (signal.SIGINT, signal.SIGTERM) if callable(h := signal.getsignal(k))}
     for number in handlers:
         signal.signal(number, lambda k, _: received.append(k))
@@ -74,11 +77,14 @@ def deferred_interrupts() -> Iterator[None]:
 
 
 def end_with(front: Connection) -> None:
-    """Make a process group of this process and its children to come, which is killed when the other end of ``front``,
-    which nobody else has, closes: when the process that has it ends, however it ends.
+    """Make sure that this process and its later children end when the front's process ends, however it ends.
 
-    A process of its own sees to it, since Python does nothing while SUMO works. Nothing happens where none can be
-    forked (Windows): there this process ends when it next reads its connection.
+    They form a process group, which is killed when the other end of ``front`` closes. A separate process watches the
+    connection, because Python cannot act while SUMO works. If the system cannot fork (Windows), nothing is done: there
+    this process ends when it next reads its connection.
+
+    Args:
+        front: A connection whose other end only the front's process holds.
     """
     if not hasattr(os, "fork"):
         return
@@ -91,27 +97,30 @@ def end_with(front: Connection) -> None:
         ended = wait([front, inlet])
         if front in ended:
             os.killpg(me, signal.SIGKILL)
-        os._exit(0)  # this process has ended by itself
-    os.close(inlet)  # ``outlet`` stays open as long as this process or a fork of it
+        os._exit(0)  # the watched process has ended by itself
+    os.close(inlet)  # ``outlet`` stays open as long as this process or a fork of it lives
 
 
 def repair_process() -> None:
-    """Undo what code of others may have done to this process that it and its forks cannot live with: children of which
-    the system says nothing, and closed standard files, whose numbers a fork's pipe would get."""
+    """Undo damage by third-party code that this process and its forks could not survive.
+
+    The damage can be an ignored SIGCHLD, so that the system does not report children, or closed standard files, whose
+    numbers a fork's pipe would get.
+    """
     if hasattr(signal, "SIGCHLD"):
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     for number in (0, 1, 2):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
     for name, number in (("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None or getattr(sys, name).closed:
             setattr(sys, name, os.fdopen(number, "w", closefd=False))
 
 
 def exit_in_words(exitcode: int | None) -> str:
-    """Return an exit code in words."""
+    """Return an exit code in words, such as "exit status 3" or "killed by SIGKILL"."""
     if exitcode is None or exitcode >= 0:
         return f"exit status {exitcode}"
     try:
@@ -121,6 +130,14 @@ def exit_in_words(exitcode: int | None) -> str:
 
 
 def unexpected(what: str, error: BaseException) -> SimulationError:
-    """Return the error that says that ``what`` failed with an error that this program does not raise."""
+    """Return the error for a failure with an exception that this program does not raise.
+
+    Args:
+        what: What failed; it begins the sentence.
+        error: The exception.
+
+    Returns:
+        The error; that of too little memory if memory ran out.
+    """
     sentence = f"{what} failed ({type(error).__name__}: {error})."
     return SimulationError(OUT_OF_MEMORY if ran_out_of_memory(error) else sentence)

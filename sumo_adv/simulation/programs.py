@@ -1,5 +1,6 @@
-"""Finds SUMO: its library, and its programs (those of the ``eclipse-sumo`` wheel, else below ``SUMO_HOME``, else on the
-path).
+"""Find SUMO's library and programs.
+
+The programs come from the ``eclipse-sumo`` wheel, otherwise from ``SUMO_HOME``, and otherwise from the path.
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ from sumo_adv.errors import SimulationError, UsageError
 
 
 def find_sumo() -> Path:
-    """The program ``sumo``. Raises UsageError if it is not installed."""
+    """Return the program ``sumo``.
+
+    Raises:
+        UsageError: The program is not installed.
+    """
     if program := _find("sumo"):
         return program
     raise UsageError(
@@ -24,15 +29,30 @@ def find_sumo() -> Path:
 
 
 def find_netconvert() -> Path:
-    """The program ``netconvert``. Raises UsageError if it is not installed."""
+    """Return the program ``netconvert``.
+
+    Raises:
+        UsageError: The program is not installed.
+    """
     if program := _find("netconvert"):
         return program
     raise UsageError("Converting needs netconvert, which is not installed: pip install 'sumo-adv[sumo]'.")
 
 
 def find_type_maps(netconvert: Path) -> Path:
-    """The folder of SUMO's type maps (how wide and fast a kind of road is), which come with ``netconvert``. Raises
-    UsageError if there is none."""
+    """Return the folder of SUMO's type maps, which come with ``netconvert``.
+
+    A type map gives the width and speed of each kind of road.
+
+    Args:
+        netconvert: The program.
+
+    Returns:
+        The folder.
+
+    Raises:
+        UsageError: There is no such folder.
+    """
     homes = [netconvert.resolve().parent.parent, netconvert.resolve().parent.parent / "share" / "sumo"]
     if home := os.environ.get("SUMO_HOME"):
         homes.append(Path(home))
@@ -43,8 +63,10 @@ def find_type_maps(netconvert: Path) -> Path:
 
 
 def set_data_folders() -> None:
-    """Set the variables by which SUMO's library and programs find their data (emission models, projections), where the
-    user has not: to those of the installed wheel."""
+    """Set the variables by which SUMO finds its data (emission models, projections) to the installed wheel.
+
+    Variables that the user has set are kept.
+    """
     wheel = find_spec("sumo_data")
     for folder in (wheel.submodule_search_locations or ()) if wheel else ():
         os.environ.setdefault("SUMO_HOME", folder)
@@ -53,6 +75,7 @@ def set_data_folders() -> None:
 
 
 def _find(program: str) -> Path | None:
+    """Return a program of SUMO, or None."""
     set_data_folders()
     name = f"{program}.exe" if sys.platform == "win32" else program
     wheel = find_spec("sumo")
@@ -70,7 +93,14 @@ SYSTEM_LIBRARIES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 
 
 def load_libsumo() -> ModuleType:
-    """The module ``libsumo``. Raises SimulationError: it does not load; the sentence names what to install."""
+    """Import ``libsumo``.
+
+    Returns:
+        The module.
+
+    Raises:
+        SimulationError: The module does not load; the message names what to install.
+    """
     try:
         import libsumo
     except ImportError as error:
@@ -81,6 +111,6 @@ def load_libsumo() -> ModuleType:
             else "install it again (pip install --force-reinstall libsumo)"
         )
         raise SimulationError(f"SUMO's library libsumo does not load ({fault}): {remedy}.") from error
-    set_data_folders()  # importing it does so once, and an episode begins with the variables of its front
+    set_data_folders()  # the import sets them only once, and each episode begins with the variables of its front
     module: ModuleType = libsumo
     return module

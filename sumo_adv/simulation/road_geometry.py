@@ -1,4 +1,4 @@
-"""Whether other roads join or leave the ego's road soon: ISO 34502's main roadway, merge zone and departure zone."""
+"""Tell whether other roads soon join or leave the ego's road: ISO 34502's main roadway, merge and departure zones."""
 
 from __future__ import annotations
 
@@ -10,22 +10,27 @@ from sumo_adv.geometry import wrap
 from sumo_adv.simulation.network import Connection, NetworkLane, RoadMap
 from sumo_adv.simulation.permissions import CAR, is_carriageway
 
-SMALL_ANGLE_RAD = math.radians(40)  # between the ways of a merge or departure; larger ones cross or turn
-SHORTEST_M = 10.0  # a way that is looked at is no shorter
+SMALL_ANGLE_RAD = math.radians(
+    40
+)  # maximum angle between the roads of a merge or departure; at larger angles they cross or turn
+SHORTEST_M = 10.0  # minimum length of road that is examined
 
 
 def geometry_of(
     road: RoadMap, lane: NetworkLane, station: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
 ) -> RoadGeometry | None:
-    """The geometry of the road from a place on; None if ways cross or turn there first.
+    """Return the geometry of the road ahead of a place.
 
     Args:
         road: The network.
         lane: The lane.
         station: The place on it [m].
-        ahead: How far junctions count [m].
+        ahead: The distance within which junctions count [m].
         route: The edges from there on, if they are known.
-        vclass: SUMO's class of the vehicle that goes there.
+        vclass: SUMO's class of the vehicle that drives there.
+
+    Returns:
+        The geometry; None if roads cross or turn there first.
     """
     gone, edges = -station, list[str]()
     reach = max(ahead, SHORTEST_M)
@@ -48,7 +53,7 @@ def geometry_of(
 
 
 def _at_the_end(road: RoadMap, edge: str) -> RoadGeometry | None:
-    """What the junction at the end of an edge is: None if ways cross or turn on it."""
+    """Return the geometry of the junction at the end of an edge; None if roads cross or turn on it."""
     own = list(_onward(road, edge))
     edges = {edge}.union(*(road.approaching.get(c.link[0], set()) for _, c in own))
     entering = [each for other in sorted(edges) for each in _onward(road, other)]
@@ -64,7 +69,7 @@ def _at_the_end(road: RoadMap, edge: str) -> RoadGeometry | None:
 
 
 def _joined_lane_ends(road: RoadMap, edge: str) -> bool:
-    """Whether an edge begins at a merge and loses a lane at its end, as beside an acceleration lane."""
+    """Return whether an edge begins at a merge and loses a lane at its end, as beside an acceleration lane."""
     onward = {road.lanes[c.to].edge for _, c in _onward(road, edge)}
     if len(onward) != 1 or len(road.edges[onward.pop()]) >= len(road.edges[edge]):
         return False
@@ -73,7 +78,7 @@ def _joined_lane_ends(road: RoadMap, edge: str) -> bool:
 
 
 def _onward(road: RoadMap, edge: str) -> Iterator[tuple[NetworkLane, Connection]]:
-    """The connections of an edge that motor vehicles may take, but for u-turns."""
+    """Yield the connections of an edge that motor vehicles may take, without u-turns."""
     for lane in (road.lanes[name] for name in road.edges[edge]):
         for c in lane.connections if lane.carriageway else ():
             if is_carriageway(c.classes) and c.movement != "u-turn" and c.to in road.lanes:
@@ -81,11 +86,11 @@ def _onward(road: RoadMap, edge: str) -> Iterator[tuple[NetworkLane, Connection]
 
 
 def _angle(road: RoadMap, lane: NetworkLane, connection: Connection) -> float:
-    """By how much a connection turns [rad]."""
+    """Return by how much a connection turns [rad]."""
     before, after = lane.point_at(lane.length)[2], road.lanes[connection.to].point_at(0.0)[2]
     return abs(float(wrap(after - before)))
 
 
 def _junction_of(lane: NetworkLane) -> str:
-    """The junction of an internal lane."""
+    """Return the junction of an internal lane."""
     return lane.id[1:].rsplit("_", 2)[0]

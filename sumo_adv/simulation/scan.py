@@ -1,4 +1,7 @@
-"""SUMO's files read as a stream (expat, gzip or not, no tree), for their ids alone: 5 MB take about 0.1 s."""
+"""Read SUMO's files as a stream, to find the ids in them.
+
+The files may be gzipped. Expat reads them without building a tree: 5 MB take about 0.1 s.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +23,22 @@ from sumo_adv.simulation.simulation_spec import check_nameable
 from sumo_adv.simulation.sumo_options import NO_JUNCTIONS
 from sumo_adv.simulation.sumo_states import PERSON
 
-MAX_LANE_NUMBER = 1e6  # m of length, and m/s of speed: beyond any
+MAX_LANE_NUMBER = 1e6  # upper bound of lengths [m] and speeds [m/s]; beyond any real lane
 _Handler = Callable[[str, dict[str, str]], None]
-ENCODINGS = ("utf-8", "utf-16", "iso-8859-1", "us-ascii", "ascii")  # those that expat knows by itself
+ENCODINGS = ("utf-8", "utf-16", "iso-8859-1", "us-ascii", "ascii")  # encodings that expat supports itself
 _DRIVING = ("vehicle", "trip", "flow")
 READ = {"include": "href", "variableSpeedSign": "file", "calibrator": "file"}
-"""Elements that name a file for SUMO to read, and the attribute that does so."""
+"""Elements that name a file for SUMO to read, and the attribute that holds the name."""
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkScan:
-    """Edges that are no part of a junction, and those of them with a lane for passenger cars."""
+    """Edges of a network.
+
+    Attributes:
+        edges: The edges outside junctions.
+        drivable: Those of the edges that have a lane for passenger cars.
+    """
 
     edges: frozenset[str]
     drivable: frozenset[str]
@@ -38,8 +46,15 @@ class NetworkScan:
 
 @dataclass(frozen=True, slots=True)
 class DemandScan:
-    """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...).
-    persons: ``person:ID`` of persons and of flows of them; files: the other files that it names."""
+    """Contents of a route or additional file.
+
+    Attributes:
+        edges: The edges, in order of first use.
+        vehicles: The ids of vehicles and trips.
+        flows: The ids of flows; their vehicles are ``flow.0``, ``flow.1`` and so on.
+        persons: ``person:ID`` of each person and each flow of persons.
+        files: The other files that the file names.
+    """
 
     edges: tuple[str, ...]
     vehicles: frozenset[str]
@@ -48,18 +63,32 @@ class DemandScan:
     files: tuple[Path, ...] = ()
 
     def has(self, vehicle: str) -> bool:
-        """Whether a vehicle of this id, or a person with ``person:`` before its id, can come from the file."""
+        """Return whether a vehicle can come from the file.
+
+        Args:
+            vehicle: The id of a vehicle, or ``person:ID`` of a person.
+
+        Returns:
+            Whether the file defines the vehicle or person, or a flow that contains it.
+        """
         flow = vehicle.rpartition(".")[0]
         return vehicle in self.vehicles | self.persons or flow in self.flows | self.persons
 
 
 def scan_network(path: Path, shown: Path | None = None, *, cars: bool = True) -> NetworkScan:
-    """The edges of the SUMO network ``path``.
+    """Return the edges of a SUMO network.
 
-    shown: the user's file that sentences name, where the network was made of it.
+    Args:
+        path: The network file.
+        shown: The file of the user that messages name, if the network was made from it.
+        cars: Whether the network must have a lane for passenger cars. Otherwise, a lane for any road vehicle suffices.
 
-    Raises UsageError: it is damaged, is no SUMO network, has a lane with an impossible length, width, speed or shape,
-    has no lane for passenger cars (without ``cars``: none for vehicles of the road), or none on its junctions.
+    Returns:
+        The edges.
+
+    Raises:
+        UsageError: The file is damaged or is not a SUMO network; a lane has an impossible length, width, speed or
+            shape; the network has no usable lane, or no lanes on its junctions.
     """
     check_nameable(path)
     named = path if shown is None else shown
@@ -98,7 +127,7 @@ def scan_network(path: Path, shown: Path | None = None, *, cars: bool = True) ->
 
 
 def _check_lane(path: Path, lane: dict[str, str]) -> None:
-    """Raises UsageError for a lane that nothing can be on."""
+    """Raise UsageError if no vehicle could be on a lane."""
     shape = lane.get("shape", "")
     try:
         length, width, speed = float(lane["length"]), float(lane.get("width", "3.2")), float(lane["speed"])
@@ -120,12 +149,16 @@ def _bad_lane(path: Path, lane: dict[str, str], what: str) -> str:
 
 
 def allows_passenger(lane: dict[str, str]) -> bool:
-    """Whether SUMO's ``allow``/``disallow`` attributes of a lane let a passenger car in."""
+    """Return whether the ``allow`` and ``disallow`` attributes of a lane admit passenger cars."""
     return CAR in classes_of(lane)
 
 
 def scan_demand(path: Path) -> DemandScan:
-    """The edges and vehicles of a SUMO route or additional file. Raises UsageError if it is damaged."""
+    """Return the edges and vehicles of a SUMO route or additional file.
+
+    Raises:
+        UsageError: The file is damaged.
+    """
     check_nameable(path)
     edges: dict[str, None] = {}
     vehicles: set[str] = set()
@@ -148,7 +181,17 @@ def scan_demand(path: Path) -> DemandScan:
 
 
 def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:
-    """The edges of every route that has a name of its own. Raises UsageError if a file is damaged."""
+    """Return the edges of every named route.
+
+    Args:
+        files: Route and additional files.
+
+    Returns:
+        The edges by the route's id.
+
+    Raises:
+        UsageError: A file is damaged.
+    """
     routes: dict[str, tuple[str, ...]] = {}
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -161,12 +204,23 @@ def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:
 
 
 _DEPARTING = (*_DRIVING, "person", "personFlow", "container", "containerFlow")
-_LATER = ("triggered", "containerTriggered", "split")  # departures that come with another one
+_LATER = ("triggered", "containerTriggered", "split")  # departures that another departure triggers
 
 
 def first_departure(files: Sequence[Path]) -> float:
-    """The earliest time [s] at which anything departs; 0 where no file says a time. A flow without ``begin`` has that
-    of the simulation, 0."""
+    """Return the earliest departure time [s].
+
+    A flow without ``begin`` begins at 0, like the simulation.
+
+    Args:
+        files: Route and additional files.
+
+    Returns:
+        The time [s]; 0 if no file gives a time.
+
+    Raises:
+        UsageError: A file is damaged.
+    """
     times: list[float] = []
 
     def see(tag: str, attributes: dict[str, str]) -> None:
@@ -174,7 +228,7 @@ def first_departure(files: Sequence[Path]) -> float:
             text = attributes.get("depart", attributes.get("begin", "0"))
             try:
                 times.append(parse_seconds(files[0], "departure", text) or 0.0)
-            except UsageError:  # no time, but a word
+            except UsageError:  # a word instead of a time
                 times.extend([] if text in _LATER else [0.0])
 
     for file in files:
@@ -183,7 +237,19 @@ def first_departure(files: Sequence[Path]) -> float:
 
 
 def parse_seconds(path: Path, key: str, value: str | None) -> float | None:
-    """A time of SUMO's files in s: a number, ``h:m:s`` or ``d:h:m:s``; negative means not given."""
+    """Parse a time of SUMO's files.
+
+    Args:
+        path: The file that messages name.
+        key: What the time is, for messages.
+        value: A number of seconds, ``h:m:s`` or ``d:h:m:s``; None if absent.
+
+    Returns:
+        The time [s]; None if it is absent or negative.
+
+    Raises:
+        UsageError: The value is not a time.
+    """
     if value is None:
         return None
     try:
@@ -196,10 +262,21 @@ def parse_seconds(path: Path, key: str, value: str | None) -> float | None:
 
 
 def parse_xml(path: Path, start: _Handler, end: Callable[[str], None] | None = None) -> tuple[Path, ...]:
-    """Feeds the start and the end of every element to ``start`` and ``end``, and returns the other files that it read.
+    """Pass the start and end of every element to handlers.
 
-    Those are the files that SUMO reads because this one names them (``READ``). The elements below their roots come
-    where the file is named. Raises UsageError for a file that is damaged, missing, or includes itself.
+    Files that SUMO would read because this file names them (``READ``) are read too. The elements below their roots are
+    passed at the place where the file is named.
+
+    Args:
+        path: The file.
+        start: Receives the tag and attributes of an element that starts.
+        end: Receives the tag of an element that ends.
+
+    Returns:
+        The other files that were read.
+
+    Raises:
+        UsageError: A file is damaged or missing, or includes itself.
     """
     others: dict[Path, None] = {}
     _parse(path, start, end, (), others)
@@ -209,9 +286,9 @@ def parse_xml(path: Path, start: _Handler, end: Callable[[str], None] | None = N
 def _parse(
     path: Path, start: _Handler, end: Callable[[str], None] | None, within: tuple[Path, ...], others: dict[Path, None]
 ) -> None:
-    """``within``: the files that name this one."""
-    outside = bool(within)  # no element below the root has begun
-    shown: list[bool] = []  # of the elements that have begun: whether ``start`` knows them
+    """Read a file and the files that it names, as ``parse_xml`` does; ``within`` are the files that name this one."""
+    outside = bool(within)  # an included file in which no element below the root has begun
+    shown: list[bool] = []  # for each open element, whether it was passed to ``start``
 
     def started(tag: str, attributes: dict[str, str]) -> None:
         nonlocal outside
@@ -242,7 +319,7 @@ def _parse(
 
 
 def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> None:
-    """Feeds the elements of this file alone."""
+    """Pass the elements of this file alone to the handlers."""
 
     def known_encoding(version: str, encoding: str | None, standalone: int) -> None:
         if encoding is not None and encoding.lower() not in ENCODINGS:
@@ -270,8 +347,18 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
 
 
 def read_sumo_text(path: Path, what: str) -> str:
-    """The text of a file in UTF-8, packed by gzip or not, without its byte order mark. Raises UsageError; ``what``: the
-    file in words."""
+    """Return the text of a UTF-8 file, gzipped or not, without its byte order mark.
+
+    Args:
+        path: The file.
+        what: The file in words, for messages.
+
+    Returns:
+        The text.
+
+    Raises:
+        UsageError: The file cannot be read, is not in UTF-8, or is damaged or too large.
+    """
     try:
         return parsing.read_text(path, parsing.MAX_UNPACKED_BYTES).removeprefix("\ufeff")
     except OSError as error:
@@ -283,7 +370,7 @@ def read_sumo_text(path: Path, what: str) -> str:
 
 
 class _Bounded:
-    """A file for expat that has at most ``parsing.MAX_SUMO_FILE_BYTES`` bytes, unpacked."""
+    """A file for expat with at most ``parsing.MAX_SUMO_FILE_BYTES`` unpacked bytes."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self._path, self._file, self._left = path, file, parsing.MAX_SUMO_FILE_BYTES
@@ -297,7 +384,7 @@ class _Bounded:
 
 
 def _open(path: Path) -> BinaryIO:
-    """The file for reading, unpacked if it ends in .gz."""
+    """Open the file for reading, and unpack it if its name ends in .gz."""
     if path.name.lower().endswith(".gz"):
         return cast(BinaryIO, gzip.open(path, "rb"))
     return path.open("rb")
@@ -307,17 +394,31 @@ def _open(path: Path) -> BinaryIO:
 
 NO_FILE = "NUL"
 WRITTEN = ("file", "output", "dest")
-"""Attributes that name a file to write, where they do not name one to read (``scan.READ``)."""
+"""Attributes that name a file to write, unless the element uses them for a file to read (``scan.READ``)."""
 WRITTEN_PARAMETER = re.compile(r"(.*[^a-z])?(files?|outputs?|log|logfile|dump|swarmlog)", re.IGNORECASE | re.DOTALL)
-"""Keys of ``<param>`` that name a file to write: by their last word, so that a device that SUMO gets is among them.
-Known are ``device.ssm.file``, ``device.toc.file``, ``file`` (of actuated lights) and ``SWARMLOG`` (of swarm lights)."""
+"""Pattern for keys of ``<param>`` that name a file to write. It tests the last word of the key, so it also covers
+devices that SUMO adds in the future. Known keys are ``device.ssm.file``, ``device.toc.file``, ``file`` (of actuated
+lights) and ``SWARMLOG`` (of swarm lights).
+"""
 FROM_HERE = "edgesFile"
-"""An attribute of ``<edgeData>`` that narrows what is written. SUMO looks for the file in the working folder."""
+"""An attribute of ``<edgeData>`` that restricts what is written. SUMO looks for the file in the working folder."""
 
 
 def silent_copies(additional: Sequence[Path], folder: Path) -> tuple[Path, ...]:
-    """Each file itself if it names no other file, else a copy in a new folder in ``folder``. Additional files, demand
-    and networks are treated alike. Raises UsageError for a file that is damaged, missing, or that SUMO cannot be told.
+    """Return files from which SUMO writes nothing.
+
+    A file that names no other file is returned itself. Any other file is copied into a new folder without those names.
+    Additional files, demand and networks are treated alike.
+
+    Args:
+        additional: The files.
+        folder: Where the new folders are created.
+
+    Returns:
+        The files or their copies, in the same order.
+
+    Raises:
+        UsageError: A file is damaged or missing, or SUMO's options cannot hold its name.
     """
     for file in additional:
         check_nameable(file)
@@ -325,6 +426,7 @@ def silent_copies(additional: Sequence[Path], folder: Path) -> tuple[Path, ...]:
 
 
 def _names_files(file: Path) -> bool:
+    """Return whether a file names other files to read or write."""
     changed = False
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -335,6 +437,7 @@ def _names_files(file: Path) -> bool:
 
 
 def _copy(file: Path, folder: Path) -> Path:
+    """Write a copy that names no files, and return its path."""
     name = file.name[:-3] if file.name.lower().endswith(".gz") else file.name
     target = Path(tempfile.mkdtemp(prefix="silent-", dir=folder)) / name
     with target.open("w", encoding="utf-8", newline="\n") as out:
@@ -352,7 +455,7 @@ def _copy(file: Path, folder: Path) -> Path:
 
 
 def _silent(tag: str, attributes: dict[str, str]) -> dict[str, str]:
-    """The attributes of an element that writes and reads no file."""
+    """Return the attributes of an element, changed so that it reads and writes no file."""
     if tag == "param":
         written = WRITTEN_PARAMETER.fullmatch(attributes.get("key", "")) is not None
         return {**attributes, "value": NO_FILE} if written else attributes

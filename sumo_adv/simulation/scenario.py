@@ -1,10 +1,10 @@
 """The scenario file: one encounter, or one place and its traffic, in TOML (``schema = 1``).
 
-The classes below are its tables; ``docs/settings.md`` explains every key. Relative paths count from the scenario's own
-folder. Every time is simulation time, but for ``warm_up``, which counts from the ego's insertion, and ``horizon``, a
-duration. With ``tracks`` the log moves all vehicles until the warm-up is over: then the ego gets its driver and the BVs
-theirs. A recorded vehicle's route is the ``<route>`` of its id in the demand's files; without one it is only ever
-replayed. Nothing here opens any file but the scenario; ``inputs.py`` checks what it names.
+The classes below are its tables. ``docs/settings.md`` explains every key. Relative paths start from the scenario's
+folder. Every time is simulation time, except ``warm_up``, which counts from the ego's insertion, and ``horizon``, a
+duration. With ``tracks``, the log moves all vehicles until the warm-up is over. Then the ego and the BVs get their
+drivers. The route of a recorded vehicle is the ``<route>`` of its id in the demand's files. Without one, the vehicle is
+only replayed. This module opens no file but the scenario; ``inputs.py`` checks the files that it names.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from sumo_adv.errors import UsageError
 from sumo_adv.parsing import dotted, first_fault, read_toml
 
 SCENARIO_SCHEMA = 1
-SCENARIO_FILE, NETWORK_FILE = "scenario.toml", "network.net.xml"  # of an imported or kept scenario, as the next two
+# Files of an imported or kept scenario.
+SCENARIO_FILE, NETWORK_FILE = "scenario.toml", "network.net.xml"
 TRACKS_FILE, ROUTES_FILE = "tracks.csv.gz", "routes.rou.xml"
-DEFAULT_WARM_UP_S = 3.0  # after the ego's insertion
-# characters of a file's name and path: systems refuse to look for longer ones
+DEFAULT_WARM_UP_S = 3.0  # counted from the ego's insertion
+# Maximum length of a file's name and path; systems refuse to look for longer ones.
 MAX_FILE_NAME_CHARACTERS = 200
 MAX_PATH_CHARACTERS = 2000
 
 
 def _from_scenario_folder(path: Path, info: ValidationInfo) -> Path:
-    """``path`` counted from the scenario's folder, which the validation context carries; absolute paths stay."""
+    """Resolve ``path`` against the scenario's folder, which the validation context carries; absolute paths stay."""
     if any(len(part) > MAX_FILE_NAME_CHARACTERS for part in path.parts) or len(str(path)) > MAX_PATH_CHARACTERS:
         raise ValueError("the name of the file is too long")
     return Path(info.context["folder"], path) if info.context else path
@@ -111,7 +112,7 @@ class Adversary(_Table):
 
 
 Background: TypeAlias = Literal["log", "sumo"]
-"""Who drives recorded vehicles."""
+"""What drives recorded vehicles."""
 
 
 class ObstacleBox(_Table):
@@ -169,8 +170,18 @@ class Scenario(_Table):
 
 
 def load_scenario(path: Path) -> Scenario:
-    """The scenario in the TOML file ``path``. Raises UsageError, one sentence with file and key, for what cannot be
-    read, unknown keys and bad values."""
+    """Read a scenario from a TOML file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The scenario.
+
+    Raises:
+        UsageError: The file cannot be read, or has unknown keys or bad values. The message is one sentence with file
+            and key.
+    """
     table = read_toml(path, "The scenario")
     try:
         return Scenario.model_validate(table, context={"folder": path.parent})
@@ -179,7 +190,7 @@ def load_scenario(path: Path) -> Scenario:
 
 
 def _fault(error: ValidationError) -> str:
-    """Return the first thing wrong with the file, to follow its name."""
+    """Return the first fault of the file, as the end of a sentence that begins with its name."""
     detail = error.errors()[0]
     key = dotted(detail["loc"])
     if detail["type"] == "extra_forbidden":
@@ -190,7 +201,7 @@ def _fault(error: ValidationError) -> str:
 
 
 def _known_keys(location: tuple[int | str, ...]) -> str:
-    """Which keys there are beside the unknown one at ``location``."""
+    """Return the known keys beside the unknown one at ``location``."""
     tables: dict[str, type[BaseModel]] = {
         "demand": Demand, "ego": Ego, "window": AttackWindow, "adversary": Adversary, "signals": Signals,
         "label": Label, "parked": ObstacleBox, "pedestrians": ObstacleBox, "cyclists": ObstacleBox,

@@ -1,4 +1,4 @@
-"""The shipped scenarios, each with its description."""
+"""List the shipped scenarios, each with its description."""
 
 from __future__ import annotations
 
@@ -11,10 +11,19 @@ from sumo_adv.simulation.scenario import load_scenario
 
 @dataclass(frozen=True, slots=True)
 class ShippedScenario:
-    """One scenario. road: the name of its network.
+    """One scenario.
 
-    intents: those held to be the most dangerous. relation, level: of an attack with one of them that a run until this
-    level finds in at most 400 attempts with ``adversaries`` and a bank that has learnt nothing.
+    A run with ``level`` as its goal finds an attack with one of the intents, this relation and this level in at most
+    400 attempts, starting from a bank that has learnt nothing.
+
+    Attributes:
+        name: The name of the scenario.
+        description: Its description.
+        road: The name of its network.
+        intents: The intents considered the most dangerous.
+        relation: The relation of such an attack.
+        level: The level of such an attack.
+        adversaries: The number of adversaries of such an attack.
     """
 
     name: str
@@ -27,6 +36,7 @@ class ShippedScenario:
 
 
 def shipped_scenarios() -> list[ShippedScenario]:
+    """Return all shipped scenarios, sorted by name."""
     return [_read(path) for path in sorted(data_folder("scenarios").glob("*.toml"))]
 
 
@@ -41,7 +51,7 @@ def _read(path: Path) -> ShippedScenario:
 
 
 def _opening(path: Path) -> str:
-    """The comment that opens a file, as one line."""
+    """Return the comment at the beginning of a file, as one line."""
     lines = []
     for line in path.read_text(encoding="utf-8").splitlines():
         if not line.startswith("#"):

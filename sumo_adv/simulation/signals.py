@@ -1,7 +1,7 @@
-"""Traffic lights: as a log has them, and those near a place, which are recorded with a run for its replay page.
+"""Traffic lights: those of a log, and those near a place, which a run records for its replay page.
 
-A log is a CSV ``time,tls,state`` in SUMO's letters, packed by gzip or not. A state holds until the light's next row;
-after the end of the log that it belongs to a light shows its own program.
+A log is a CSV ``time,tls,state`` in SUMO's letters, gzipped or not. A state holds until the light's next row. After the
+end of the log that it belongs to, a light shows its own program.
 """
 
 from __future__ import annotations
@@ -28,12 +28,16 @@ SIGNAL_LETTERS = frozenset("GgYyRrsuoO")
 
 @dataclass(frozen=True, slots=True)
 class SignalLog:
-    """What each light showed: times [s], rising, and the state from each on."""
+    """What each light showed.
+
+    Attributes:
+        lights: For each light, ascending times [s] and the state from each time on.
+    """
 
     lights: Mapping[str, tuple[tuple[float, ...], tuple[str, ...]]]
 
     def states(self, time: float) -> dict[str, str]:
-        """The state of every light with a row at or before ``time`` [s]."""
+        """Return the state of every light that has a row at or before a time [s]."""
         shown = {}
         for name, (times, states) in self.lights.items():
             k = bisect_right(times, time + 1e-6)
@@ -43,7 +47,17 @@ class SignalLog:
 
 
 def read_signals(path: Path) -> SignalLog:
-    """The recorded lights in ``path``. Raises UsageError: one sentence with file and line for whatever is wrong."""
+    """Read recorded traffic lights.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The log.
+
+    Raises:
+        UsageError: The file is wrong or damaged. The message is one sentence with file and, for a bad row, its line.
+    """
     reader = csv.reader(io.StringIO(read_sumo_text(path, "The signals")))
     if tuple(next(reader, [])) != SIGNAL_COLUMNS:
         raise UsageError(f"The signals {path} begin with another header: line 1 must be '{','.join(SIGNAL_COLUMNS)}'.")
@@ -58,6 +72,7 @@ def read_signals(path: Path) -> SignalLog:
 
 
 def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str]:
+    """Return time [s], light and state of one row."""
     try:
         time, name, state = float(fields[0]), fields[1], fields[2]
     except (ValueError, IndexError):
@@ -67,13 +82,14 @@ def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str]:
     return time, name, state
 
 
-SIGNAL_DISTANCE_M = 250.0  # a light further away is on no picture of the encounter
+SIGNAL_DISTANCE_M = 250.0  # a light farther away is not in the picture of the encounter
 
 
 class LightsNear:
-    """Knows where the stop lines of a network's lights are."""
+    """Finds a network's traffic lights by the places of their stop lines."""
 
     def __init__(self, road: RoadMap) -> None:
+        """Collect the stop lines of a network."""
         lines = [
             (connection.light[0], lane.shape[-1])
             for lane in road.lanes.values()
@@ -88,6 +104,15 @@ class LightsNear:
         return len(self._names)
 
     def states(self, simulation: Simulation, x: float, y: float) -> dict[str, str]:
-        """The states of the lights with a stop line within ``SIGNAL_DISTANCE_M`` of (x, y) [m], in SUMO's letters."""
+        """Return the states of lights near a place.
+
+        Args:
+            simulation: The simulation.
+            x: The x of the place [m].
+            y: The y of the place [m].
+
+        Returns:
+            The state, in SUMO's letters, of each light with a stop line within ``SIGNAL_DISTANCE_M``.
+        """
         near = np.flatnonzero(np.hypot(self._places[:, 0] - x, self._places[:, 1] - y) <= SIGNAL_DISTANCE_M)
         return {name: simulation.light(name) for name in sorted({self._names[k] for k in near})}

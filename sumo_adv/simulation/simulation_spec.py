@@ -1,4 +1,4 @@
-"""What SUMO is started with, as its command line."""
+"""What SUMO is started with, as a command line."""
 
 from __future__ import annotations
 
@@ -13,11 +13,20 @@ from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 @dataclass(frozen=True, slots=True)
 class SimulationSpec:
-    """What SUMO is started with. Times in s; options: by SUMO's long names, those that this program does not force.
+    """What SUMO is started with.
 
-    empty_steps: from the begin, in which nothing has departed yet: SUMO makes them, and nothing is recorded.
+    Attributes:
+        network: The network file.
+        routes: The route files.
+        additional: The additional files.
+        begin: The time at which the simulation begins [s].
+        seed: The seed.
+        step_length: The step length [s].
+        options: Options by SUMO's long names, without those that this program forces.
+        empty_steps: The number of initial steps before the first departure. SUMO runs them, and nothing is recorded.
 
-    Raises UsageError: an option may not be given, its value is not of its type, or a file cannot be named to SUMO.
+    Raises:
+        UsageError: An option may not be given, its value has the wrong type, or SUMO's options cannot hold a file name.
     """
 
     network: Path
@@ -41,11 +50,11 @@ class SimulationSpec:
 
     @property
     def all_options(self) -> dict[str, str]:
-        """The options of SUMO, with those that this program forces."""
+        """The options of SUMO, including those that this program forces."""
         return {**self.options, **FORCED}
 
     def arguments(self) -> list[str]:
-        """The command line without the program's name."""
+        """Return the command line without the program's name."""
         files = {"net-file": (self.network,), "route-files": self.routes, "additional-files": self.additional}
         named = {name: ",".join(map(str, paths)) for name, paths in files.items() if paths}
         times = {"begin": repr(self.begin), "step-length": repr(self.step_length), "seed": str(self.seed)}
@@ -55,11 +64,11 @@ class SimulationSpec:
 def check_nameable(file: Path) -> None:
     """Refuse a file whose name SUMO's options cannot hold.
 
-    SUMO reads UTF-8, divides its lists at commas and semicolons, and replaces variables of the environment and the home
-    folder in names.
+    SUMO reads UTF-8, splits lists at commas and semicolons, and replaces environment variables and the home folder in
+    names.
 
     Raises:
-        UsageError: The name is not possible.
+        UsageError: SUMO's options cannot hold the name.
     """
     name = str(file)
     if not name.isprintable() or {",", ";"} & set(name) or VARIABLE in name or name.startswith(HOME):

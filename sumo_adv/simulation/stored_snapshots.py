@@ -1,4 +1,4 @@
-"""Snapshots on their way from a fork through the engine to the front, which may not read them."""
+"""Pass snapshots from a fork through the engine to the front, which may never read them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from sumo_adv.simulation.sumo_states import Snapshot
 
 
 class StoredSnapshots(Sequence[Snapshot]):
-    """Snapshots that go through several processes: pickled once, and unpickled where they are read first."""
+    """Snapshots that pass through several processes. They are pickled once, and unpickled when they are first read."""
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
+        """Hold these snapshots, which are not pickled yet."""
         self._count, self._stored = len(snapshots), b""
         self._snapshots: list[Snapshot] | None = list(snapshots)
 
@@ -32,6 +33,7 @@ class StoredSnapshots(Sequence[Snapshot]):
         return iter(self._read())
 
     def _read(self) -> list[Snapshot]:
+        """Return the snapshots, and unpickle them if necessary."""
         if self._snapshots is None:
             self._snapshots, self._stored = pickle.loads(self._stored), b""
         return self._snapshots

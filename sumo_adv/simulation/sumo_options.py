@@ -1,7 +1,7 @@
-"""Options of SUMO: what of a user's own simulation is kept, and what this program must set itself.
+"""Decide which options of the user's own simulation are kept, and which this program must set itself.
 
 A network or a scenario alone runs with ``DEFAULTS``. A .sumocfg is a simulation: its options are kept, and those that
-it does not name are SUMO's own defaults. Names are SUMO's long ones, without dashes.
+it does not name have SUMO's defaults. Names are SUMO's long ones, without dashes.
 """
 
 from __future__ import annotations
@@ -20,21 +20,23 @@ SUMOS = {
     "time-to-teleport": "300", "lateral-resolution": "-1", "default.speeddev": "-1", "collision.mingap-factor": "-1",
     "collision.check-junctions": "false", "collision.action": "teleport", "collision.stoptime": "0",
 }  # fmt: skip
-"""SUMO's own values of ``DEFAULTS``."""
+"""SUMO's own defaults for the options in ``DEFAULTS``."""
 SUMOS_SEED = 23423
 FORCED = {
     "device.ssm.file": "NUL", "xml-validation": "never", "no-step-log": "true", "duration-log.disable": "true",
 }  # fmt: skip
-"""None of these changes a motion. A vehicle may have an SSM device of its own, which would write a file in the working
-folder."""
-MIN_STEP_LENGTH_S, MAX_STEP_LENGTH_S = 0.01, 0.5  # s
-SUMO_STEP_LENGTH_S, FINE_STEP_LENGTH_S = 1.0, 0.1  # s: SUMO's default, and the longest part of a step that is too long
+"""Options that this program always sets. None of them changes a motion. The first prevents a vehicle's own SSM device
+from writing a file into the working folder.
+"""
+MIN_STEP_LENGTH_S, MAX_STEP_LENGTH_S = 0.01, 0.5
+# SUMO's default, and the longest step into which a longer one is divided.
+SUMO_STEP_LENGTH_S, FINE_STEP_LENGTH_S = 1.0, 0.1
 OPTIONS_SET_ELSEWHERE = {
     "net-file": "give the network as the INPUT", "route-files": "name it in a .sumocfg",
     "additional-files": "name it in a .sumocfg", "begin": "use --begin", "end": "use --end", "seed": "use --seed",
     "step-length": "use the setting step_length",
 }  # fmt: skip
-"""Options of SUMO that have another place, and which."""
+"""Options of SUMO that are given in another way, and how."""
 
 
 SHOWING = (
@@ -49,7 +51,7 @@ SHOWING_NAMES = frozenset(
      "edgedata-files", "alternative-net-file", "selection-file", "game.mode", "tls.actuated.show-detectors",
      "pedestrian.jupedsim.wkt", "pedestrian.jupedsim.wkt.geo", "pedestrian.jupedsim.py")
 )  # fmt: skip
-"""Options that write, report or show, by the beginnings of their names and by their names."""
+"""Options that write, report or show something, by the beginnings of their names (``SHOWING``) and by their names."""
 _OTHERS = """
     net-file route-files additional-files weight-files load-state load-state.offset load-state.remove-vehicles
     begin step-length threads
@@ -62,29 +64,39 @@ _OTHERS = """
     meso-tls-flow-penalty meso-minor-penalty meso-overtaking meso-recheck meso-interpolate-pos random seed thread-rngs
 """
 OTHERS = frozenset(_OTHERS.split())
-"""SUMO 1.28's other options that may not be given: they change motions, or have a place of their own."""
+"""Other options of SUMO 1.28 that may not be given: they change motions, or are given in another way."""
 
 
 def is_own(name: str) -> bool:
-    """Whether this program sets the option itself, or leaves it alone: effects of collisions, outputs, messages, GUI,
-    threads, port; and whatever is not in the list of those that may be given."""
+    """Return whether this program sets an option itself or does not let it be given.
+
+    These options concern effects of collisions, outputs, messages, the GUI, threads and the port, and everything that
+    is missing from the list of options that may be given.
+    """
     return name in FORCED or name not in OPTION_TYPES
 
 
 def only_shows(name: str) -> bool:
-    """Whether an option writes, reports or shows, and so changes no motion."""
+    """Return whether an option only writes, reports or shows something, and so changes no motion."""
     shows = name in SHOWING_NAMES or name.startswith(SHOWING) or "output" in name or name.endswith(".file")
     return is_own(name) and shows
 
 
 def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """The options of a .sumocfg that are kept, with what becomes of collisions, and a sentence for each kind of those
-    that are not.
+    """Return the options of a .sumocfg that are kept.
 
-    An option that names a file is not kept: a run copies its network, demand and additional files alone. An option
-    that this program sets to the same value is in no sentence.
+    An option that names a file is not kept, because a run copies only its network, demand and additional files. There
+    is no sentence on an option that this program sets to the same value.
 
-    Raises UsageError: the options let no vehicle be moved, or a value is not of the type of its option.
+    Args:
+        configuration: The .sumocfg, for messages.
+        given: Its options.
+
+    Returns:
+        The options, with those on collisions, and a sentence for each kind of option that is not kept.
+
+    Raises:
+        UsageError: The options let no vehicle be moved, an option is unknown, or a value has the wrong type.
     """
     if is_on(given.get("no-internal-links")):
         raise UsageError(f"{configuration} sets no-internal-links: {NO_JUNCTIONS}.")
@@ -118,17 +130,16 @@ NO_JUNCTIONS = (
 
 
 def is_on(value: str | None) -> bool:
-    """Whether a value of an option means yes, as SUMO reads it."""
+    """Return whether SUMO reads the value of an option as yes."""
     return value is not None and value.lower() in ("true", "1", "on", "yes", "x", "t")
 
 
 def _collisions(file_name: str, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """What SUMO does with vehicles that collide, and what differs from ``file_name`` in a sentence.
+    """Return what SUMO does with vehicles that collide, and a sentence on what differs from ``file_name``.
 
-    With the action ``teleport``, SUMO passes over collisions of a vehicle that is moved, or was in the last 10 s, but
-    those on junctions (``MSLane::detectCollisionBetween``; measured). So a user's collisions happen as they are
-    configured, and an attack's contact stays. With ``warn`` and ``none`` and no stop, no vehicle is moved by a
-    collision.
+    With the action ``teleport``, SUMO ignores collisions of a vehicle that is moved, or was moved in the last 10 s,
+    except on junctions (``MSLane::detectCollisionBetween``; measured). Collisions of the user's traffic thus happen as
+    configured, and an attack's contact stays. With ``warn`` and ``none`` and no stop, a collision moves no vehicle.
     """
     action, stop = (given.get(name, SUMOS[name]) for name in COLLISIONS)
     on_junctions = is_on(given.get("collision.check-junctions"))
@@ -145,15 +156,23 @@ def _collisions(file_name: str, given: Mapping[str, str]) -> tuple[dict[str, str
 
 
 def part_of(step: float) -> float | None:
-    """The longest step [s] up to ``FINE_STEP_LENGTH_S`` of which ``step`` is a multiple, so that what SUMO does at the
-    times of the long steps is done; None if there is none. SUMO counts in whole ms."""
+    """Return the longest step up to ``FINE_STEP_LENGTH_S`` of which ``step`` is a multiple [s].
+
+    What SUMO does at the times of the long steps thus still happens. SUMO counts in whole ms.
+
+    Args:
+        step: The long step [s].
+
+    Returns:
+        The step [s]; None if there is none.
+    """
     whole = round(1000 * step)
     shortest, longest = round(1000 * MIN_STEP_LENGTH_S), round(1000 * FINE_STEP_LENGTH_S)
     return next((part / 1000 for part in range(longest, shortest - 1, -1) if whole >= part and whole % part == 0), None)
 
 
 def differing(options: Mapping[str, str]) -> dict[str, str]:
-    """What a scenario needs of its own, beside ``DEFAULTS``, to run with these options."""
+    """Return the options that a scenario must set, beside ``DEFAULTS``, to run with these options."""
     wanted = {
         name: value for name, value in {**SUMOS, **options}.items() if name not in (*FORCED, *OPTIONS_SET_ELSEWHERE)
     }
@@ -164,7 +183,14 @@ def differing(options: Mapping[str, str]) -> dict[str, str]:
 
 
 def parse_options(given: Sequence[str]) -> dict[str, str]:
-    """``NAME=VALUE`` texts as options. Raises UsageError for another form."""
+    """Parse ``NAME=VALUE`` texts.
+
+    Returns:
+        The values by name.
+
+    Raises:
+        UsageError: A text has another form.
+    """
     parsed: dict[str, str] = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -175,8 +201,12 @@ def parse_options(given: Sequence[str]) -> dict[str, str]:
 
 
 def refuse(options: Mapping[str, str]) -> None:
-    """Raises UsageError for an option that has another place, that this program must set itself, or that may not be
-    given; and for a value that is not of the option's type."""
+    """Refuse options that cannot be passed through.
+
+    Raises:
+        UsageError: An option is given in another way, is set by this program, or may not be given; or its value has the
+            wrong type.
+    """
     for name in options:
         if name in OPTIONS_SET_ELSEWHERE:
             raise UsageError(f"SUMO's option '{name}' cannot be passed through: {OPTIONS_SET_ELSEWHERE[name]}.")

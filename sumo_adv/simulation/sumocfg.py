@@ -1,8 +1,13 @@
-"""A .sumocfg read as SUMO reads it: its files, its times, and its options with SUMO's own defaults.
+"""Read a .sumocfg as SUMO reads it: its files, its times, and its options with SUMO's defaults.
 
-Measured with SUMO 1.28: each element with a ``value`` (or ``v``) is an option, in whatever section; a list of files has
-commas between; ``${NAME}`` is an environment variable, empty where it is not set; ``~`` at the start of a file is the
-home. An option that is named twice, also by two of its names, ends the program; an unknown attribute is passed over.
+Measured with SUMO 1.28:
+
+- Each element with a ``value`` (or ``v``) is an option, in any section.
+- Commas separate the files of a list.
+- ``${NAME}`` is an environment variable; it is empty if the variable is not set.
+- ``~`` at the start of a file is the home folder.
+- An option that is named twice, even by two of its names, ends SUMO.
+- An unknown attribute is ignored.
 """
 
 from __future__ import annotations
@@ -39,30 +44,32 @@ data-files m edgedata-files|N alternative-net-file|device.fcd-replay.file device
 SYNONYMS: Mapping[str, str] = {
     name: group.split()[-1] for group in _SYNONYMS.split("|") for name in group.split()
 }  # fmt: skip
-"""Other names of SUMO's options (``sumo --save-template``), and the name that it uses itself."""
+"""All names of SUMO's options that have several (``sumo --save-template``), with the name that SUMO uses itself."""
 _KNOWN_ATTRIBUTES = frozenset(("value", "v", "type", "help", "synonymes"))
 _ENVIRONMENT_VARIABLE = re.compile(r"\$\{(.+?)\}")
-_SECRET = re.compile(r"KEY|TOKEN|SECRET|PASSW|CREDENTIAL|SUMO_ADV_", re.IGNORECASE)  # in names of variables
-_OF_SUMO = ("LOCALTIME", "UTC", "PID")  # variables that SUMO itself sets, for names of outputs
+_SECRET = re.compile(
+    r"KEY|TOKEN|SECRET|PASSW|CREDENTIAL|SUMO_ADV_", re.IGNORECASE
+)  # parts of variable names that suggest a secret
+_OF_SUMO = ("LOCALTIME", "UTC", "PID")  # variables that SUMO sets itself, for names of outputs
 _FILES = ("net-file", "route-files", "additional-files")
 _OWN_OPTIONS = (*_FILES, "begin", "end", "seed", "step-length")
 
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """What a .sumocfg says.
+    """The content of a .sumocfg.
 
     Attributes:
         networks: Its net-file; there should be one.
         routes: Its route files, in order.
         additional: Its additional files, in order.
-        begin: Of the simulation [s].
-        end: Of the simulation [s]; None if there is none.
-        seed: SUMO's own where it names none.
-        step: Of this program [s]; None for this program's own.
-        sumo_step: That SUMO takes [s].
-        options: All others that are kept, by SUMO's long names.
-        notes: Sentences about what is not kept, and what SUMO passes over.
+        begin: When the simulation begins [s].
+        end: When the simulation ends [s]; None if it has no end.
+        seed: The seed; SUMO's default if the file names none.
+        step: The step length for this program [s]; None means this program's default.
+        sumo_step: The step length that SUMO uses [s].
+        options: All other options that are kept, by SUMO's long names.
+        notes: Sentences about what is not kept, and what SUMO ignores.
     """
 
     networks: tuple[Path, ...]
@@ -78,15 +85,22 @@ class Configuration:
 
 
 def is_sumocfg(path: Path) -> bool:
-    """Whether the file's name is that of a .sumocfg."""
+    """Return whether the file's name is that of a .sumocfg."""
     return path.name.lower().endswith((".sumocfg", ".sumo.cfg"))
 
 
 def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configuration:
-    """The simulation that the .sumocfg ``path`` describes.
+    """Read the simulation that a .sumocfg describes.
+
+    Args:
+        path: The file.
+        environ: The environment variables.
+
+    Returns:
+        The configuration.
 
     Raises:
-        UsageError: It is damaged, names an option twice, has a bad time, or cannot be run.
+        UsageError: The file is damaged, names an option twice, has a bad time, or cannot be run.
     """
     given, notes = _options(path, environ)
     begin, end = (parse_seconds(path, key, given.get(key)) for key in ("begin", "end"))
@@ -101,7 +115,7 @@ def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configu
     step, said = _step(path, sumo_step, named="step-length" in given)
     options, left = kept(path, {name: value for name, value in given.items() if name not in _OWN_OPTIONS})
     if end is not None:
-        options["end"] = given["end"]  # flows without an end of their own have this one
+        options["end"] = given["end"]  # flows without their own end use this one
     networks, routes, additional = (_files(path, given.get(name, "")) for name in _FILES)
     return Configuration(
         networks, routes, additional, begin, end, _seed(path, given), step, sumo_step, options,
@@ -110,8 +124,13 @@ def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configu
 
 
 def as_sumo_reads_it(path: Path) -> dict[str, str]:
-    """All options of the .sumocfg ``path`` but for its three kinds of files, and for what writes, reports and shows.
-    Names of files are counted from the configuration's folder."""
+    """Return the options of a .sumocfg, without its files and without options that write, report or show something.
+
+    File names are resolved against the configuration's folder.
+
+    Raises:
+        UsageError: The file is damaged, or names an option twice.
+    """
     given, _ = _options(path, os.environ)
     return {
         name: str((path.parent / value).absolute()) if (path.parent / value).is_file() else value
@@ -121,7 +140,7 @@ def as_sumo_reads_it(path: Path) -> dict[str, str]:
 
 
 def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """The options by SUMO's own long names, and sentences about attributes and variables that are passed over."""
+    """Return the options by SUMO's long names, and sentences about ignored attributes and unset variables."""
     options: dict[str, str] = {}
     notes: list[str] = []
 
@@ -139,7 +158,7 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
         secret = next(
             (each for each in _ENVIRONMENT_VARIABLE.findall(f"{values[0]} {value}") if _SECRET.search(each)), None
         )
-        if secret is not None:  # values of options stand in messages and in a run's files
+        if secret is not None:  # values of options appear in messages and in a run's files
             raise UsageError(
                 f"{path} names the variable {secret!r}, which may hold a secret: take it out or rename it."
             )
@@ -154,7 +173,7 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
 
 
 def _expanded(text: str, environ: Mapping[str, str]) -> tuple[str, list[str]]:
-    """A value with its variables, and the names of those that are not set."""
+    """Return a value with its variables replaced, and the names of unset variables."""
     names = [name for name in _ENVIRONMENT_VARIABLE.findall(text) if name not in _OF_SUMO]
     unset = [name for name in names if name not in environ]
     whole = _ENVIRONMENT_VARIABLE.sub(lambda m: m[0] if m[1] in _OF_SUMO else environ.get(m[1], ""), text)
@@ -165,7 +184,7 @@ def _expanded(text: str, environ: Mapping[str, str]) -> tuple[str, list[str]]:
 
 
 def _seed(path: Path, given: Mapping[str, str]) -> int:
-    """SUMO's own where none is named. Raises UsageError: it is none, or below 0, which SUMO alone takes."""
+    """Return the seed, or SUMO's default if none is named; refuse one below 0, which only SUMO accepts."""
     try:
         seed = int(given.get("seed", SUMOS_SEED))
     except ValueError:
@@ -176,7 +195,11 @@ def _seed(path: Path, given: Mapping[str, str]) -> int:
 
 
 def _step(path: Path, step: float, *, named: bool) -> tuple[float | None, tuple[str, ...]]:
-    """The step [s] and no note; a part of it, or None for this program's own, and a note."""
+    """Return the step length for this program [s] and notes.
+
+    The step is kept without a note if it is possible. Otherwise it is a part of the step, or None for this program's
+    default, with a note.
+    """
     if MIN_STEP_LENGTH_S <= step <= MAX_STEP_LENGTH_S:
         return step, ()
     taken = part_of(step)
@@ -193,5 +216,5 @@ def _step(path: Path, step: float, *, named: bool) -> tuple[float | None, tuple[
 
 
 def _files(configuration: Path, value: str) -> tuple[Path, ...]:
-    """SUMO's list of files (commas between), counted from the configuration's folder."""
+    """Return the files of SUMO's comma-separated list, resolved against the configuration's folder."""
     return tuple(configuration.parent / name.strip() for name in value.split(",") if name.strip())

@@ -1,9 +1,10 @@
-"""Recorded tracks: what a log says of vehicles, pedestrians, cyclists and others, on one even time grid.
+"""Recorded tracks: the motion of vehicles, pedestrians, cyclists and others on one even time grid.
 
-The file is a CSV, packed by gzip or not, with the header ``time,id,kind,valid,x,y,heading,speed,length,width``: a row
-an object and step; time [s] of the simulation; x, y box centre [m]; heading [rad]; speed [m/s].  A step that has no
-row, or one with ``valid`` 0 (its numbers may be empty), says nothing of the object: it may come late, leave early
-and be unseen in between.  Sizes wander in recordings; an object has one here, the median of its valid rows.
+The file is a CSV, gzipped or not, with the header ``time,id,kind,valid,x,y,heading,speed,length,width`` and a row for
+each object and step. Units: time of the simulation [s]; x and y of the box centre [m]; heading [rad]; speed [m/s]. A
+step without a row, or with ``valid`` 0 (its numbers may be empty), says nothing of the object: the object may appear
+late, disappear early and be unseen in between. Sizes vary in recordings. An object has one size here, the median of its
+valid rows.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from sumo_adv.times import seconds_text
 
 TRACK_COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
 OBJECT_KINDS = ("vehicle", "pedestrian", "cyclist", "other")
-TRACK_TIME_TOLERANCE_S = 2e-3  # how far a row's time may be from the grid
+TRACK_TIME_TOLERANCE_S = 2e-3  # maximum distance of a row's time from the grid
 MAX_TRACK_STEPS = 1_000_000
 
 Row = tuple[float, float, float, float, float, float, int]  # x, y, heading, speed, length, width, line
@@ -36,8 +37,21 @@ Row = tuple[float, float, float, float, float, float, int]  # x, y, heading, spe
 
 @dataclass(frozen=True, slots=True)
 class LoggedTrack:
-    """One object over the whole grid of its log, arrays ``(n,)``; where ``valid`` is False the rest means nothing. x,
-    y: box centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m]."""
+    """One object over the whole grid of its log.
+
+    Arrays have shape ``(n,)``. Where ``valid`` is False, the other values mean nothing.
+
+    Attributes:
+        id: The id of the object.
+        kind: Its kind (``OBJECT_KINDS``).
+        valid: Whether its state is known.
+        x: x of the box centre [m].
+        y: y of the box centre [m].
+        heading: Heading [rad].
+        speed: Speed along the heading [m/s].
+        length: Length [m].
+        width: Width [m].
+    """
 
     id: str
     kind: str
@@ -50,35 +64,58 @@ class LoggedTrack:
     width: float
 
     def motion(self, time: Floats) -> GivenMotion:
-        """Its valid states on the grid ``time`` ``(n,)`` [s], to be checked."""
+        """Return the valid states for a consistency check.
+
+        Args:
+            time: The grid of the log, ``(n,)`` [s].
+
+        Returns:
+            The states.
+        """
         v = self.valid
         return GivenMotion(
             self.id, self.kind, time[v], self.x[v], self.y[v], self.heading[v], self.speed[v], self.length, self.width
         )
 
     def spans(self) -> tuple[tuple[int, int], ...]:
-        """First and last index of every stretch over which it is valid."""
+        """Return the first and last index of every stretch of valid states."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.valid, [False]]).astype(np.int8)))
         return tuple((int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True))
 
 
 @dataclass(frozen=True, slots=True)
 class TrackLog:
-    """All objects of a log on the grid ``time`` ``(n,)`` [s], evenly spaced."""
+    """All objects of a log.
+
+    Attributes:
+        time: The evenly spaced grid, ``(n,)`` [s].
+        tracks: The tracks by id.
+    """
 
     time: Floats
     tracks: Mapping[str, LoggedTrack]
 
     @property
     def end(self) -> float:
+        """The last time of the grid [s]."""
         return float(self.time[-1])
 
     def first(self, name: str) -> float:
-        """When an object is first seen [s]."""
+        """Return when an object is first seen [s]."""
         return float(self.time[self.tracks[name].spans()[0][0]])
 
     def resampled(self, begin: float, step: float) -> TrackLog:
-        """The log at ``begin + k step`` up to its end: linear, headings the shorter way, valid where both sides are."""
+        """Return the log on another grid, by linear interpolation.
+
+        Headings turn the shorter way. A state is valid if those on both sides are valid.
+
+        Args:
+            begin: The beginning of the grid [s].
+            step: Its step [s].
+
+        Returns:
+            The log from ``begin`` up to its end.
+        """
         count = int((self.end - begin) / step + 1e-6) + 1
         time = np.asarray(begin + step * np.arange(max(count, 1)), float)
         even = self.time[1] - self.time[0] if len(self.time) > 1 else step
@@ -92,7 +129,15 @@ class TrackLog:
         return TrackLog(time, {n: _between(t, low, high, share, inside) for n, t in self.tracks.items()})
 
     def track(self, name: str, role: Role = Role.BACKGROUND) -> Track:
-        """The valid steps of an object as a track (with gaps in time where it was not seen); accelerations are 0."""
+        """Return the valid steps of an object as a track.
+
+        Args:
+            name: The id of the object.
+            role: The role of the track.
+
+        Returns:
+            The track. It has gaps in time where the object was not seen, and its accelerations are 0.
+        """
         t = self.tracks[name]
         keep = t.valid
         time = self.time[keep]
@@ -103,7 +148,7 @@ class TrackLog:
 
 
 def _between(t: LoggedTrack, low: Floats, high: Floats, share: Floats, inside: Bools) -> LoggedTrack:
-    """A track at places between its samples ``low`` and ``high``."""
+    """Return a track interpolated between its samples ``low`` and ``high``."""
 
     def linear(values: Floats) -> Floats:
         return np.asarray(np.where(share == 0.0, values[low], values[low] * (1 - share) + values[high] * share))
@@ -118,11 +163,18 @@ def _between(t: LoggedTrack, low: Floats, high: Floats, share: Floats, inside: B
 
 
 def read_tracks(path: Path) -> TrackLog:
-    """The log in ``path``.
+    """Read a log.
 
-    Raises UsageError: one sentence with file and line for whatever is wrong: unreadable, another header, no number
-    where one is needed, two rows for one object and time, times that do not lie on an even grid, nothing valid, or
-    motion that cannot be right (``consistency.py``).
+    Args:
+        path: The file.
+
+    Returns:
+        The log.
+
+    Raises:
+        UsageError: The file is unreadable, has another header, lacks a number, has two rows for one object and time, is
+            not on an even grid, has no valid row, or contains impossible motion (``consistency.py``). The message is
+            one sentence with file and, for a bad row, its line.
     """
     kinds: dict[str, str] = {}
     rows: dict[str, dict[float, Row]] = {}
@@ -146,7 +198,7 @@ def read_tracks(path: Path) -> TrackLog:
 
 
 def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
-    """Line numbers and fields of the rows under the header."""
+    """Yield line numbers and fields of the rows under the header."""
     reader = csv.reader(io.StringIO(read_sumo_text(path, "The tracks")))
     try:
         header = next(reader, [])
@@ -161,7 +213,7 @@ def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
 
 
 def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str, Row | None]:
-    """Time, id, kind and, where valid, the numbers of one row."""
+    """Return time, id and kind of one row and, if it is valid, its numbers."""
     if len(fields) != len(TRACK_COLUMNS):
         raise _wrong(path, line, f"has {len(fields)} fields, not {len(TRACK_COLUMNS)}")
     _, name, kind, valid, *numbers = fields
@@ -181,6 +233,7 @@ def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str, Row
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:
+    """Return a field as a finite number."""
     try:
         value = float(text)
     except ValueError:
@@ -191,11 +244,12 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
 
 
 def _wrong(path: Path, line: int, what: str) -> UsageError:
+    """Return the error for a row."""
     return UsageError(f"The tracks {path} cannot be used: line {line} {what}.")
 
 
 def _grid(path: Path, times: set[float]) -> Floats:
-    """The even grid that holds all times; its step is the least difference of two."""
+    """Return the even grid that holds all times; its step is the smallest difference between two of them."""
     grid = np.array(sorted(times))
     if len(grid) == 1:
         return grid
@@ -210,6 +264,7 @@ def _grid(path: Path, times: set[float]) -> Floats:
 
 
 def _logged(name: str, kind: str, seen: Mapping[float, Row], grid: Floats) -> LoggedTrack:
+    """Return the rows of one object as a track on the grid."""
     step = grid[1] - grid[0] if len(grid) > 1 else 1.0
     at = np.rint((np.array(list(seen)) - grid[0]) / step).astype(np.intp)
     values = np.array(list(seen.values()))
@@ -226,8 +281,14 @@ def _logged(name: str, kind: str, seen: Mapping[float, Row], grid: Floats) -> Lo
 
 
 def write_tracks(path: Path, log: TrackLog) -> None:
-    """The log as a file that :func:`read_tracks` reads: valid steps, times with the decimals that they need, equal
-    bytes for equal logs."""
+    """Write a log as a file that :func:`read_tracks` reads.
+
+    Only valid steps are written. Times have as many decimals as they need. Equal logs give equal bytes.
+
+    Args:
+        path: The file; it is gzipped if its name ends in .gz.
+        log: The log.
+    """
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     out.writerow(TRACK_COLUMNS)
@@ -244,16 +305,24 @@ def write_tracks(path: Path, log: TrackLog) -> None:
 
 
 class Recording:
-    """Snapshots in order."""
+    """The snapshots of a simulation, in order.
+
+    Attributes:
+        step_length: The step length [s].
+        snapshots: The snapshots.
+    """
 
     def __init__(self, step_length: float) -> None:
+        """Start without snapshots."""
         self.step_length = step_length
         self.snapshots: list[Snapshot] = []
 
     def forget(self, keep: int) -> None:
+        """Drop all but the newest ``keep`` snapshots."""
         del self.snapshots[: max(0, len(self.snapshots) - keep)]
 
     def append(self, snapshot: Snapshot) -> None:
+        """Add the newest snapshot."""
         self.snapshots.append(snapshot)
 
     @property
@@ -262,12 +331,22 @@ class Recording:
         return self.snapshots[-2] if len(self.snapshots) > 1 else None
 
     def acceleration(self, vehicle: str) -> float:
-        """The last step's change of speed over time [m/s2]; 0 for a vehicle that has just come."""
+        """Return a vehicle's acceleration over the last step [m/s2]; 0 if the vehicle has just appeared."""
         return acceleration(vehicle, self.snapshots[-1], self.before, self.step_length) if self.snapshots else 0.0
 
 
 def acceleration(vehicle: str, newest: Snapshot, before: Snapshot | None, step_length: float) -> float:
-    """The change of a vehicle's speed between two snapshots over the step [m/s2]; 0 if it is not in both."""
+    """Return the change of a vehicle's speed over a step [m/s2].
+
+    Args:
+        vehicle: The id of the vehicle.
+        newest: The later snapshot.
+        before: The earlier snapshot.
+        step_length: The step length [s].
+
+    Returns:
+        The acceleration [m/s2]; 0 if the vehicle is not in both snapshots.
+    """
     if before is None:
         return 0.0
     now, then = newest.raw.get(vehicle), before.raw.get(vehicle)
@@ -278,8 +357,20 @@ def tracks_of(
     snapshots: Sequence[Snapshot], sizes: Mapping[str, tuple[float, float]], roles: Mapping[str, Role],
     step_length: float, only: Sequence[str] | None = None,
 ) -> list[Track]:  # fmt: skip
-    """One track a vehicle, ordered by its first appearance; acceleration is the difference of speeds over the step (0
-    at the first state)."""
+    """Return the motion in snapshots as tracks.
+
+    The acceleration is the change of speed over the step. It is 0 at the first state and after a gap.
+
+    Args:
+        snapshots: The snapshots, in order.
+        sizes: Length and width by id [m].
+        roles: The roles by id; all others are background vehicles.
+        step_length: The step length [s].
+        only: The ids to include; None includes all.
+
+    Returns:
+        One track for each vehicle, ordered by first appearance.
+    """
     rows: dict[str, list[tuple[float, RawState]]] = {}
     heights: dict[str, list[float]] = {}
     names = None if only is None else set(only)
@@ -296,6 +387,7 @@ def tracks_of(
 def _track(
     name: str, rows: list[tuple[float, RawState]], size: tuple[float, float], role: Role, step_length: float
 ) -> Track:
+    """Return the states of one vehicle as a track of box centres."""
     times, states = zip(*rows, strict=True)
     *columns, lane = zip(*states, strict=True)
     time, x, y, angle_deg, speed = (np.array(c) for c in (times, *columns))

@@ -1,7 +1,7 @@
-"""Warnings of SUMO and netconvert: read from what they print, counted by kind, and said in words.
+"""Read the warnings of SUMO and netconvert from their output, count them by kind, and describe them.
 
 A kind is a message with its ids and numbers replaced, so that a thousand teleports are one kind. Both programs begin a
-warning with ``Warning:``, and go on in lines that begin with a blank.
+warning with ``Warning:``, and continue it in lines that begin with a blank.
 """
 
 from __future__ import annotations
@@ -11,23 +11,28 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-WARNINGS_FILE = "warnings.txt"  # of a run's folder
-MAX_SHOWN_WARNINGS = 6  # kinds that a sentence each is given
-MAX_WARNING_CHARACTERS = 300  # of a warning in a sentence
+WARNINGS_FILE = "warnings.txt"  # file in a run's folder
+MAX_SHOWN_WARNINGS = 6  # maximum number of kinds with their own sentence
+MAX_WARNING_CHARACTERS = 300  # maximum length of a warning in a sentence
 _WARNING_PREFIX = "Warning: "
 _VARYING_PART = re.compile(r"'[^']*'|\"[^\"]*\"|(?<![A-Za-z])[-+]?\d[\d.:,]*(?:[eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
 class WarningKind:
-    """Warnings that differ in ids and numbers alone: the first of them, and how many there were."""
+    """Warnings that differ only in ids and numbers.
+
+    Attributes:
+        first: The first of them.
+        count: Their number.
+    """
 
     first: str
     count: int
 
 
 def warnings_in(printed: str) -> tuple[str, ...]:
-    """The warnings in what SUMO or netconvert wrote to its error output, in order."""
+    """Return the warnings in the error output of SUMO or netconvert, in order."""
     found: list[str] = []
     within = False
     for line in printed.splitlines():
@@ -42,14 +47,22 @@ def warnings_in(printed: str) -> tuple[str, ...]:
 
 
 def with_names(text: str, names: Mapping[str, str]) -> str:
-    """A warning with the user's files instead of their copies. ``names``: the file's name by the copy's."""
+    """Replace the names of copies in a warning by those of the user's files.
+
+    Args:
+        text: The warning.
+        names: The file's name by the copy's name.
+
+    Returns:
+        The warning.
+    """
     for name, shown in names.items():
         text = text.replace(name, shown)
     return text
 
 
 def kinds_of(warnings: Iterable[str]) -> tuple[WarningKind, ...]:
-    """The kinds of warnings, each where its first one came."""
+    """Return the kinds of warnings, in the order of their first occurrence."""
     first: dict[str, str] = {}
     count: dict[str, int] = {}
     for text in warnings:
@@ -60,13 +73,22 @@ def kinds_of(warnings: Iterable[str]) -> tuple[WarningKind, ...]:
 
 
 def kinds_below(folder: Path) -> tuple[WarningKind, ...]:
-    """The kinds of all warnings in the runs below a folder."""
+    """Return the kinds of all warnings in the runs below a folder."""
     files = sorted(folder.rglob(WARNINGS_FILE))
     return kinds_of(line for file in files for line in file.read_text(encoding="utf-8").splitlines())
 
 
 def said_of(kinds: Sequence[WarningKind], program: str = "SUMO") -> tuple[str, ...]:
-    """A sentence for each kind of warning: the first one, and how many there were. Nothing where there were none."""
+    """Return sentences that describe kinds of warnings.
+
+    Args:
+        kinds: The kinds.
+        program: The program that warned.
+
+    Returns:
+        A sentence for each of the first ``MAX_SHOWN_WARNINGS`` kinds, with the first warning and the count, and one for
+        the others. Empty if there are no kinds.
+    """
     shown = [f"{program} warns{times(kind.count)}: {_short(kind.first)}" for kind in kinds[:MAX_SHOWN_WARNINGS]]
     more = len(kinds) - MAX_SHOWN_WARNINGS
     if more > 0:
@@ -76,7 +98,7 @@ def said_of(kinds: Sequence[WarningKind], program: str = "SUMO") -> tuple[str, .
 
 
 def times(count: int) -> str:
-    """`` (7 times)``; nothing for once."""
+    """Return a count in brackets, such as `` (7 times)``; empty for 1."""
     return f" ({count} times)" if count > 1 else ""
 
 
@@ -86,8 +108,11 @@ def _short(text: str) -> str:
 
 
 def about(warnings: Iterable[str], name: str) -> str | None:
-    """The warning that says why ``name`` is not in the simulation: one that names it, else one that SUMO ignores
-    something. None if there is none."""
+    """Return the warning that explains why ``name`` is not in the simulation.
+
+    Returns:
+        The first warning that names it, otherwise the first that says that SUMO ignores something, otherwise None.
+    """
     ignoring = None
     for text in warnings:
         if f"'{name}'" in text:

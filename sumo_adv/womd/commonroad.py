@@ -1,7 +1,8 @@
-"""A CommonRoad scenario (XML, formats 2018b and 2020a) as a record that the converter takes.
+"""Read a CommonRoad scenario (XML, formats 2018b and 2020a) as a record for the converter.
 
-Lanelets become lanes with their centre lines, obstacles become tracks from time step 0 on; the planning problem's
-initial state is the ego, at its own time step. Its track ends one step later. ``Record.notes`` says what is left out.
+Lanelets become lanes with their centre lines, and obstacles become tracks from time step 0 on. The initial state of the
+planning problem is the ego, at its own time step. The ego's track ends one step later. ``Record.notes`` says what is
+left out.
 """
 
 from __future__ import annotations
@@ -51,13 +52,20 @@ LEFT_HAND = frozenset(
     {"AUS", "JPN", "HKG", "IND", "JEY", "IMN", "IRL", "JAM", "KEN", "MLT", "MYS", "NPL", "NZL", "ZAF", "SGP", "THA",
      "GBR", "IDN", "MAC", "PAK", "CYP"}
 )  # fmt: skip
-"""Countries of left-hand traffic, as commonroad-io lists them."""
+"""Countries with left-hand traffic, as commonroad-io lists them."""
 
 
 def read_commonroad(path: Path) -> Record:
-    """The scenario at ``path``.
+    """Read a CommonRoad scenario.
 
-    Raises UsageError: it cannot be read, is of another format version, or has no lanelets or no planning problem.
+    Args:
+        path: The file.
+
+    Returns:
+        The scenario as a record.
+
+    Raises:
+        UsageError: The file cannot be read, has another format version, or has no lanelets or no planning problem.
     """
     try:
         data = path.read_bytes()
@@ -71,6 +79,7 @@ def read_commonroad(path: Path) -> Record:
 
 
 def _record(root: Element, path: Path, content: str) -> Record:
+    """Return the scenario as a record."""
     version = root.get("commonRoadVersion", "")
     if version not in COMMONROAD_VERSIONS:
         named = f"is a CommonRoad scenario of the format {version[:40]}" if version else "names no CommonRoad format"
@@ -115,7 +124,7 @@ def _record(root: Element, path: Path, content: str) -> Record:
 
 
 def _notes(root: Element, path: Path) -> Sequence[str]:
-    """What is left out, by kind, and on which side traffic drives."""
+    """Return sentences on what is left out, by kind, and on left-hand traffic."""
     lost = other_signs(root)
     lost["further planning problem"] = len(root.findall("planningProblem")) - 1
     lost["prediction as an occupancy set"] = len(root.findall("dynamicObstacle/occupancySet"))

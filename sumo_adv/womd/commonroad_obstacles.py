@@ -1,7 +1,8 @@
-"""The obstacles of a CommonRoad scenario as tracks: their boxes are where commonroad-io puts them.
+"""Read the obstacles of a CommonRoad scenario as tracks, with their boxes where commonroad-io puts them.
 
-commonroad-io turns a shape about its own centre and then moves it by the obstacle's place. So the centre that a shape
-names is an offset along the map's axes, whatever the obstacle's heading is. Of several shapes each becomes an object.
+commonroad-io rotates a shape about its own centre, and then moves it to the obstacle's place. The centre that a shape
+names is therefore an offset along the map's axes, whatever the obstacle's heading. Each of several shapes becomes an
+object.
 """
 
 from __future__ import annotations
@@ -23,15 +24,22 @@ TRACK_KIND_OF_TYPE = {
     "bicycle": TRACK_KINDS.index("cyclist"),
     **dict.fromkeys(("constructionZone", "building", "pillar", "median_strip", "train"), TRACK_KINDS.index("other")),
 }
-"""By CommonRoad's types; all others are vehicles."""
-BOUNDARY = "roadBoundary"  # a type that is no object: the lanelets say where the road ends
+"""Kinds of tracks by CommonRoad's obstacle types; all other types are vehicles."""
+BOUNDARY = "roadBoundary"  # a type that is not an object; the lanelets say where the road ends
 OBSTACLE_ROLES = {"dynamicObstacle": "dynamic", "staticObstacle": "static"}
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeBox:
-    """The box of a shape. length, width [m]; turn: of its length against the obstacle's heading [rad], at most a
-    quarter of pi; offset (2,) [m]: of its centre along the map's axes; lever (2,) [m]: what turns with the heading."""
+    """The box of a shape.
+
+    Attributes:
+        length: Its length [m].
+        width: Its width [m].
+        turn: The angle of its length against the obstacle's heading [rad], at most a quarter of pi.
+        offset: The offset of its centre along the map's axes, ``(2,)`` [m].
+        lever: The part of the offset that turns with the heading, ``(2,)`` [m].
+    """
 
     length: float
     width: float
@@ -41,7 +49,19 @@ class ShapeBox:
 
 
 def obstacles(root: Element) -> Iterator[tuple[Element, bool]]:
-    """Each obstacle and whether it stands still; ``<obstacle>`` with a role is of format 2018b."""
+    """Yield each obstacle, and whether it stands still.
+
+    An ``<obstacle>`` with a role belongs to format 2018b.
+
+    Args:
+        root: The scenario.
+
+    Yields:
+        The obstacle, and True if it is static.
+
+    Raises:
+        ValueError: An obstacle has an unknown role.
+    """
     for element in root:
         role = OBSTACLE_ROLES.get(element.tag, "")
         if element.tag == "obstacle":
@@ -53,15 +73,27 @@ def obstacles(root: Element) -> Iterator[tuple[Element, bool]]:
 
 
 def obstacle_type(obstacle: Element) -> str:
-    """CommonRoad's word."""
+    """Return CommonRoad's type of an obstacle."""
     return obstacle.findtext("type", "").strip()
 
 
 def obstacle_tracks(
     obstacle: Element, poses: Mapping[int, Pose], numbers: Iterator[int], count: int
 ) -> Iterator[ObjectTrack]:
-    """A track for each of its shapes, over ``count`` steps; the first has the obstacle's id, others one of
-    ``numbers``."""
+    """Yield a track for each shape of an obstacle.
+
+    Args:
+        obstacle: The obstacle.
+        poses: Its poses by time step.
+        numbers: Ids for the shapes after the first one, which has the obstacle's id.
+        count: The number of time steps.
+
+    Yields:
+        The tracks.
+
+    Raises:
+        ValueError: The obstacle has no shape, or an unknown one.
+    """
     kind = TRACK_KIND_OF_TYPE.get(obstacle_type(obstacle), VEHICLE)
     shapes = list(child(obstacle, "shape"))
     if not shapes:
@@ -71,7 +103,18 @@ def obstacle_tracks(
 
 
 def make_track(number: int, kind: int, box: ShapeBox, poses: Mapping[int, Pose], count: int) -> ObjectTrack:
-    """The track of a box over ``count`` steps, valid where there is a pose."""
+    """Return the track of a box, valid at the steps that have a pose.
+
+    Args:
+        number: The id of the track.
+        kind: Its kind, an index of ``TRACK_KINDS``.
+        box: The box.
+        poses: The obstacle's poses by time step.
+        count: The number of time steps.
+
+    Returns:
+        The track.
+    """
     values, valid = np.zeros((count, 5)), np.zeros(count, bool)
     for step, pose in poses.items():
         c, s = math.cos(pose.heading), math.sin(pose.heading)
@@ -84,11 +127,12 @@ def make_track(number: int, kind: int, box: ShapeBox, poses: Mapping[int, Pose],
 
 
 def plain_box(length: float, width: float) -> ShapeBox:
-    """A box about its own centre, along its heading."""
+    """Return a box about its own centre, along its heading."""
     return ShapeBox(length, width, 0.0, np.zeros(2), np.zeros(2))
 
 
 def _box(shape: Element) -> ShapeBox:
+    """Return the box of a shape."""
     centre = shape.find("center")
     offset = np.zeros(2) if centre is None else point(centre)
     if shape.tag == "rectangle":
@@ -103,7 +147,7 @@ def _box(shape: Element) -> ShapeBox:
 
 
 def _box_of_polygon(corners: Floats) -> ShapeBox:
-    """The smallest rectangle around a polygon, which turns about its centroid."""
+    """Return the smallest rectangle around a polygon, which turns about its centroid."""
     from shapely import Polygon
 
     area = Polygon(corners)
@@ -118,7 +162,7 @@ def _box_of_polygon(corners: Floats) -> ShapeBox:
 
 
 def _turned(length: float, width: float, turn: float, offset: Floats, lever: Floats) -> ShapeBox:
-    """The box with its length along the heading, as far as quarter turns go."""
+    """Return the box with its length along the heading, as far as quarter turns allow."""
     quarters = round(turn / (math.pi / 2))
     sides = (width, length) if quarters % 2 else (length, width)
     return ShapeBox(*sides, turn - quarters * math.pi / 2, offset, lever)
@@ -128,7 +172,17 @@ def _turned(length: float, width: float, turn: float, offset: Floats, lever: Flo
 
 
 def read_poses(obstacle: Element, step: float) -> dict[int, Pose]:
-    """Poses by time step; ``step`` [s]. Where no state gives a speed, the distance between two states gives it."""
+    """Return an obstacle's poses by time step.
+
+    If no state gives a speed, it follows from the distance between two states.
+
+    Args:
+        obstacle: The obstacle.
+        step: The length of a time step [s].
+
+    Returns:
+        The poses.
+    """
     every = [child(obstacle, "initialState"), *obstacle.findall("trajectory/state")]
     poses = {time_step(state): read_pose(state) for state in every}
     pairs = list(pairwise(sorted(poses)))
@@ -141,7 +195,11 @@ def read_poses(obstacle: Element, step: float) -> dict[int, Pose]:
 
 
 def time_step(state: Element) -> int:
-    """The number of a state's step."""
+    """Return the number of a state's time step.
+
+    Raises:
+        ValueError: The number is negative.
+    """
     step = round(exact_number(state, "time", 0.0))
     if step < 0:
         raise ValueError(f"a state has the time step {step}")
@@ -149,7 +207,16 @@ def time_step(state: Element) -> int:
 
 
 def read_pose(state: Element) -> Pose:
-    """A state; the middle where a place or value is given as a range. A speed that is not given is NaN."""
+    """Return the pose of a state.
+
+    If a place or value is given as a range, its middle is taken.
+
+    Returns:
+        The pose; its speed is NaN if the state gives none.
+
+    Raises:
+        ValueError: The state has no exact position.
+    """
     position = child(state, "position")
     exact, region = position.find("point"), position.find("polygon")
     if exact is not None:
@@ -167,7 +234,11 @@ def read_pose(state: Element) -> Pose:
 
 
 def child(parent: Element, name: str) -> Element:
-    """The child of that name. Raises ValueError: there is none."""
+    """Return the child element with a name.
+
+    Raises:
+        ValueError: There is none.
+    """
     found = parent.find(name)
     if found is None:
         raise ValueError(f"{parent.tag} {parent.get('id', '')} has no {name}".replace("  ", " "))
@@ -175,7 +246,19 @@ def child(parent: Element, name: str) -> Element:
 
 
 def exact_number(state: Element, name: str, default: float | None = None) -> float:
-    """An exact value, or the middle of an interval."""
+    """Return an exact value, or the middle of an interval.
+
+    Args:
+        state: The parent element.
+        name: The name of the value's element.
+        default: The value if the element is absent; None requires the element.
+
+    Returns:
+        The value.
+
+    Raises:
+        ValueError: The element is absent or holds no number.
+    """
     holder = state.find(name)
     if holder is None and default is not None:
         return default
@@ -186,10 +269,10 @@ def exact_number(state: Element, name: str, default: float | None = None) -> flo
 
 
 def point(element: Element) -> Floats:
-    """x, y of a point [m]."""
+    """Return x, y of a point [m]."""
     return np.array([float(element.findtext(name, "nan")) for name in ("x", "y")])
 
 
 def points(parent: Element) -> Floats:
-    """The points ``(n, 2)`` of a line or polygon [m]."""
+    """Return the points of a line or polygon, ``(n, 2)`` [m]."""
     return np.array([point(each) for each in parent.findall("point")])

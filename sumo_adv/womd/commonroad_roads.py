@@ -1,4 +1,4 @@
-"""The lanelets of a CommonRoad scenario as lanes: their lines, neighbours, speed limits and traffic lights."""
+"""Read the lanelets of a CommonRoad scenario as lanes: their lines, neighbours, speed limits and traffic lights."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from sumo_adv.womd.record import (
 
 CENTRE_LINE_SPACING_M = 0.5  # between points of a centre line
 SPEED_LIMIT_SIGNS = {"USA": "R2-1", "ESP": "r301"}
-"""Speed limit signs in commonroad-io's catalogues by country; in all others, and in Zamunda, it is ``DEFAULT_SIGN``."""
+"""Speed limit signs by country in commonroad-io's catalogues. Other countries, and Zamunda, use ``DEFAULT_SIGN``."""
 DEFAULT_SIGN = "274"
-WALKWAYS = ("sidewalk", "crosswalk")  # lanelet types that are no lanes for vehicles
+WALKWAYS = ("sidewalk", "crosswalk")  # lanelet types that are not lanes for vehicles
 SIGNAL_STATE_OF_COLOUR = {
     "red": "stop",
     "redYellow": "stop",
@@ -35,22 +35,33 @@ SIGNAL_STATE_OF_COLOUR = {
     "green": "go",
     "inactive": "flashing_caution",
 }
-MAX_LIGHT_CYCLE_STEPS = 10**9  # of a light's cycle
+MAX_LIGHT_CYCLE_STEPS = 10**9  # maximum length of a light's cycle
 SUCCESSOR_TAGS = {"right": "successorsRight", "straight": "successorsStraight", "left": "successorsLeft"}
 
 
 def is_walkway(lanelet: Element) -> bool:
-    """Whether a lanelet is for pedestrians."""
+    """Return whether a lanelet is for pedestrians."""
     return any(kind in WALKWAYS for kind in lanelet_types(lanelet))
 
 
 def lanelet_types(lanelet: Element) -> set[str]:
-    """CommonRoad's words for what a lanelet is."""
+    """Return CommonRoad's types of a lanelet."""
     return {(each.text or "").strip() for each in lanelet.findall("laneletType")}
 
 
 def read_lanes(root: Element, lanelets: Sequence[Element], version: str) -> dict[int, LaneFeature]:
-    """Centre lines halfway between the bounds, a point every half metre."""
+    """Return the lanelets as lanes.
+
+    A centre line runs halfway between the bounds, with a point every half metre.
+
+    Args:
+        root: The scenario.
+        lanelets: The lanelets that become lanes.
+        version: The version of the format.
+
+    Returns:
+        The lanes by id.
+    """
     lines = {int(lanelet.attrib["id"]): _centre(lanelet) for lanelet in lanelets}
     limits, turns = _sign_limits(root), _turns(root)
 
@@ -78,6 +89,7 @@ def read_lanes(root: Element, lanelets: Sequence[Element], version: str) -> dict
 
 
 def _centre(lanelet: Element) -> Floats:
+    """Return the centre line of a lanelet ``(n, 3)`` [m], at height 0."""
     bounds = [points(child(lanelet, name)) for name in ("leftBound", "rightBound")]
     length = max(float(np.hypot(*np.diff(bound, axis=0).T).sum()) for bound in bounds)
     count = max(2, math.ceil(length / CENTRE_LINE_SPACING_M) + 1)
@@ -95,7 +107,15 @@ def _outline(lanelet: Element) -> Floats:
 
 
 def read_edges(lanelets: Sequence[Element], last: int) -> dict[int, LineFeature]:
-    """The outline of all lanelets, numbered behind ``last``."""
+    """Return the outline of all lanelets as road edges.
+
+    Args:
+        lanelets: The lanelets.
+        last: The edges are numbered from the number after this one.
+
+    Returns:
+        The edges by number.
+    """
     from shapely import Polygon
 
     areas = [Polygon(_outline(each)).buffer(0.0) for each in lanelets]
@@ -106,7 +126,7 @@ def read_edges(lanelets: Sequence[Element], last: int) -> dict[int, LineFeature]
 
 
 def read_crosswalks(lanelets: Sequence[Element]) -> tuple[AreaFeature, ...]:
-    """The lanelets that are crosswalks."""
+    """Return the lanelets that are crosswalks."""
     return tuple(
         AreaFeature(int(each.attrib["id"]), "crosswalk", np.column_stack([line, np.zeros(len(line))]))
         for each in lanelets if "crosswalk" in lanelet_types(each)
@@ -118,12 +138,15 @@ def read_crosswalks(lanelets: Sequence[Element]) -> tuple[AreaFeature, ...]:
 
 
 def country(root: Element) -> str:
-    """The three letters of the scenario's name; cooperative scenarios begin with ``C-``."""
+    """Return the three letters of the country in the scenario's name.
+
+    Names of cooperative scenarios begin with ``C-``.
+    """
     return root.attrib["benchmarkID"].removeprefix("C-")[:3]
 
 
 def _sign_limits(root: Element) -> dict[str, float]:
-    """Speed limits [m/s] by the number of the sign; every country's values are in m/s."""
+    """Return speed limits by the sign's id [m/s]; the values are in m/s in every country."""
     wanted = SPEED_LIMIT_SIGNS.get(country(root), DEFAULT_SIGN)
     limits: dict[str, float] = {}
     for sign in root.findall("trafficSign"):
@@ -136,14 +159,14 @@ def _sign_limits(root: Element) -> dict[str, float]:
 
 
 def other_signs(root: Element) -> Counter[str]:
-    """The signs that say no speed limit, by their catalogue number."""
+    """Count the signs that give no speed limit, by their catalogue number."""
     wanted = SPEED_LIMIT_SIGNS.get(country(root), DEFAULT_SIGN)
     ids = (each.findtext("trafficSignID", "").strip() for each in root.iterfind("trafficSign/trafficSignElement"))
     return Counter(f"sign {name}" for name in ids if name != wanted)
 
 
 def _turns(root: Element) -> dict[int, str]:
-    """Which way the lanelets of intersections lead."""
+    """Return the direction in which each lanelet of an intersection leads."""
     incoming = root.findall("intersection/incoming")
     return {int(ref): turn for turn, name in SUCCESSOR_TAGS.items() for each in incoming for ref in _refs(each, name)}
 
@@ -151,10 +174,19 @@ def _turns(root: Element) -> dict[int, str]:
 def read_lights(
     root: Element, lanelets: Sequence[Element], lanes: Mapping[int, LaneFeature], count: int
 ) -> list[tuple[SignalState, ...]]:
-    """The state of each lane behind a traffic light at ``count`` steps.
+    """Return the signal states at each time step.
 
-    A lanelet ends at its light, so that the light is of the lanelets behind it, of those only whose turn its direction
-    names. The cycle is repeated for ever, as by commonroad-io's ``TrafficLight.get_state_at_time_step``.
+    A lanelet ends at its light, so the light rules the lanelets after it. A light with a direction rules only those
+    with that turn. The cycle repeats forever, as in commonroad-io's ``TrafficLight.get_state_at_time_step``.
+
+    Args:
+        root: The scenario.
+        lanelets: The lanelets that became lanes.
+        lanes: The lanes by id.
+        count: The number of time steps.
+
+    Returns:
+        For each step, the state of each lane after a traffic light.
     """
     lights = {light.attrib["id"]: light for light in root.findall("trafficLight") if is_lit(light)}
     turns = _turns(root)
@@ -171,13 +203,13 @@ def read_lights(
 
 
 def is_lit(light: Element) -> bool:
-    """Whether a light is active and has a cycle."""
+    """Return whether a light is active and has a cycle."""
     active = light.findtext("active", "true").strip() != "false"
     return active and light.find("cycle/cycleElement") is not None
 
 
 def _states(light: Element, count: int) -> Ints:
-    """Indices of ``SIGNAL_STATES`` at each step."""
+    """Return the state of a light at each step, as indices of ``SIGNAL_STATES``."""
     cycle = light.findall("cycle/cycleElement")
     colours = np.array(
         [SIGNAL_STATES.index(SIGNAL_STATE_OF_COLOUR[each.findtext("color", "").strip()]) for each in cycle]

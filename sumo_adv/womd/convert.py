@@ -1,7 +1,8 @@
-"""From a record to a folder that ``run`` takes, kept in the user's cache so that nothing is converted twice.
+"""Convert a record to a folder that ``run`` accepts, and keep the folder in the user's cache.
 
-The key is the SHA-256 of the record's bytes with the program's version and the sources of this package: a changed
-converter converts again. A folder is written beside its place and moved there whole.
+The cache key is the SHA-256 of the record's bytes with the program's version and the sources of this package, so that a
+changed converter converts again. A folder is written elsewhere in the cache, and moved to its place when it is
+complete.
 """
 
 from __future__ import annotations
@@ -33,16 +34,22 @@ from sumo_adv.womd.record import Record, evenly_sampled
 from sumo_adv.womd.scene import write_scene
 
 FIDELITY_FILE, FIDELITY_PICTURE = "fidelity.json", "fidelity.png"
-MAX_CACHED_RECORDS = 300  # conversions in the cache; the oldest go first
+MAX_CACHED_RECORDS = 300  # conversions in the cache; the oldest are removed first
 TRAFFIC_TRIAL_DURATION_S = 120.0
-TELEPORT_TIME_S = 60.0  # without a move after which SUMO teleports a vehicle
-TRAFFIC_TRIAL_TIMEOUT_S = 120.0  # of wall time
+TELEPORT_TIME_S = 60.0  # SUMO teleports a vehicle that has stood still for this long
+TRAFFIC_TRIAL_TIMEOUT_S = 120.0  # wall time
 _TELEPORT = re.compile(r"Teleporting vehicle '[^']*'; ([^,]*), lane='([^']*)', time=([0-9.]+)\.")
 
 
 @dataclass(frozen=True, slots=True)
 class RecordConversion:
-    """Where a record's files are, its fidelity report, and whether it had been converted before."""
+    """A converted record.
+
+    Attributes:
+        folder: The folder with its files.
+        report: Its fidelity report.
+        cached: Whether it had been converted before.
+    """
 
     folder: Path
     report: Mapping[str, Any]
@@ -55,15 +62,24 @@ class RecordConversion:
 
 
 def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, Any]:
-    """Network, scenario, tracks, routes and fidelity report of a record into ``folder``; gives the report.
+    """Write the network, scenario, tracks, routes and fidelity report of a record.
 
-    traffic: also try random traffic. Raises SumoAdvError if the record cannot be converted.
+    Args:
+        record: The record.
+        folder: Where the files are written.
+        traffic: Whether to also try random traffic.
+
+    Returns:
+        The report.
+
+    Raises:
+        SumoAdvError: The record cannot be converted.
     """
     from sumo_adv.womd.fidelity import draw_fidelity, measure_fidelity
     from sumo_adv.womd.matching import read_net
     from sumo_adv.womd.network import convert_network
 
-    began, cpu = perf_counter(), sum(os.times()[:4])  # our own and our children's, netconvert being one
+    began, cpu = perf_counter(), sum(os.times()[:4])  # CPU time of this process and its children, such as netconvert
     record, sampling = evenly_sampled(record)
     converted = convert_network(record, folder)
     seconds = {"network": converted.seconds, "network_cpu": round(sum(os.times()[:4]) - cpu, 3)}
@@ -84,6 +100,7 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
 
 
 def _written(folder: Path, report: dict[str, Any], *, traffic: bool) -> dict[str, Any]:
+    """Write the report, after a trial of random traffic if ``traffic`` is set."""
     if traffic:
         report = {**report, "traffic": random_traffic(folder / NETWORK_FILE)}
     write_text(folder / FIDELITY_FILE, json.dumps(report, indent=2, allow_nan=False) + "\n")
@@ -92,10 +109,20 @@ def _written(folder: Path, report: dict[str, Any], *, traffic: bool) -> dict[str
 
 @contextlib.contextmanager
 def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> Iterator[RecordConversion]:
-    """The conversion of a record, from the cache (default: the user's) or made now.
+    """Provide the conversion of a record, from the cache or by converting it now.
 
-    Where the cache cannot be written, its folder lives as long as the context. Raises SumoAdvError like
-    :func:`convert_record`.
+    If the cache cannot be written, the folder exists only within the context.
+
+    Args:
+        record: The record.
+        traffic: Whether the report must include a trial of random traffic.
+        cache: The folder of the cache; None means the user's.
+
+    Yields:
+        The conversion.
+
+    Raises:
+        SumoAdvError: As for :func:`convert_record`.
     """
     key = hashlib.sha256(f"{record.content} {__version__} {_package_hash()}".encode()).hexdigest()
     place = (cache or cache_folder()) / key[:32] / record.scenario_id
@@ -117,7 +144,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
         made.mkdir()
         report = convert_record(record, made, traffic=traffic)
         if kept:
-            with contextlib.suppress(OSError):  # another process was faster: its file is the same
+            with contextlib.suppress(OSError):  # another process was faster, and its files are the same
                 made.rename(place)
             made = place
             keep_newest((p for p in place.parent.parent.iterdir() if p.is_dir()), MAX_CACHED_RECORDS)
@@ -125,7 +152,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
 
 
 def _known(place: Path) -> dict[str, Any] | None:
-    """The report of a whole conversion at ``place``, or None."""
+    """Return the report of a complete conversion at ``place``, or None."""
     try:
         return dict(read_json(place / FIDELITY_FILE))
     except (OSError, ValueError, TypeError):
@@ -134,7 +161,7 @@ def _known(place: Path) -> dict[str, Any] | None:
 
 @lru_cache(maxsize=1)
 def _package_hash() -> str:
-    """A hash of this package's own sources."""
+    """Return a hash of this package's sources."""
     content = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py")))
     return hashlib.sha256(content).hexdigest()
 
@@ -142,16 +169,25 @@ def _package_hash() -> str:
 def cache_folder(
     environ: Mapping[str, str] = os.environ, platform: str = sys.platform, home: Path | None = None
 ) -> Path:
-    """Where conversions are kept, in the user's cache folder (:func:`~sumo_adv.files.user_folder`)."""
+    """Return where conversions are kept, in the user's cache folder (:func:`~sumo_adv.files.user_folder`)."""
     return user_folder("cache", environ, platform, home) / "womd"
 
 
 def random_traffic(network: Path, *, seed: int = 0, duration: float = TRAFFIC_TRIAL_DURATION_S) -> dict[str, Any]:
-    """Runs generated traffic of the default density for ``duration`` s: vehicles, collisions, teleports, and the place
-    and time of each of those (``events``).
+    """Run SUMO with generated traffic of the default density.
 
-    A network without any route has no traffic: ``note`` says so. Raises SimulationError if SUMO fails,
-    UsageError if it is not installed.
+    Args:
+        network: The network file.
+        seed: The seed of the traffic and of SUMO.
+        duration: The simulated time [s].
+
+    Returns:
+        The numbers of ``vehicles``, ``collisions`` and ``teleports``, and in ``events`` the place and time of each
+        collision and teleport. If the network has no route, the numbers are 0 and ``note`` gives the reason.
+
+    Raises:
+        SimulationError: SUMO fails.
+        UsageError: SUMO is not installed.
     """
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         folder = Path(scratch)
@@ -175,14 +211,14 @@ def random_traffic(network: Path, *, seed: int = 0, duration: float = TRAFFIC_TR
 
 
 def _teleports(warnings: str) -> list[str]:
-    """SUMO's warnings of teleports, shortened: it has no other output for them."""
+    """Return SUMO's warnings of teleports in short form; SUMO has no other output for teleports."""
     return [f"teleport ({why}) from {lane} at {float(time):.1f} s" for why, lane, time in _TELEPORT.findall(warnings)]
 
 
 def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float) -> str:
-    """Run SUMO; its warnings."""
+    """Run SUMO, and return its warnings."""
     netconvert = find_netconvert()
-    sumo = netconvert.with_name(netconvert.name.replace("netconvert", "sumo"))  # they are installed together
+    sumo = netconvert.with_name(netconvert.name.replace("netconvert", "sumo"))  # SUMO's programs are installed together
     command = [
         str(sumo), "-n", str(network), "-r", str(demand), "--end", str(duration), "--seed", str(seed),
         "--step-length", "0.1", "--collision.action", "warn", "--collision.mingap-factor", "0",

@@ -1,7 +1,7 @@
-"""How faithful a converted network is to its record: lengths, deviations, connections, signals, vehicles, routes.
+"""Measure how faithful a converted network is to its record.
 
-Everything is measured on the finished net.xml. Bike lanes are compared with lanes that bicycles may use, all others
-with lanes that cars may use.
+The report covers lengths, deviations, connections, signals, vehicles and routes. Everything is measured on the finished
+net.xml. Bike lanes are compared with lanes that bicycles may use, and all other lanes with lanes that cars may use.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from sumo_adv.womd.network import ConvertedNetwork, LanePiece
 
 LANE_SAMPLE_STEP_M = 0.5  # between samples of a lane
-FIRST_LANE_SEARCH_DISTANCE_M = 1.0  # within which the nearest SUMO lane is looked for first
-MAX_LANE_DEVIATION_M = 20.0  # deviations are not looked for beyond
-SAME_DIRECTION_RAD = 0.8  # within which a SUMO lane leads the same way
-PIECE_END_TOLERANCE_M = 0.3  # within which a piece is a lane's first or last
-HALF_LANE_WIDTH_M = 1.75  # about a centre line that counts as the lane
-MIN_LOGGED_SPEED_M_S = 1.0  # from which a logged vehicle counts as moving
-MIN_DRIVEN_DISTANCE_M = 5.0  # that a track must cover to count as driven
-DEVIATION_BANDS_M = ((0.1, 0.5, "#F0E442"), (0.5, 1.0, "#E69F00"), (1.0, np.inf, "#D55E00"))  # m from, m to, colour
+FIRST_LANE_SEARCH_DISTANCE_M = 1.0  # radius of the first search for the nearest SUMO lane
+MAX_LANE_DEVIATION_M = 20.0  # radius of the second search, and the largest deviation that is reported
+SAME_DIRECTION_RAD = 0.8  # maximum angle at which a SUMO lane has the same direction
+PIECE_END_TOLERANCE_M = 0.3  # a piece this near to a lane's end is its first or last
+HALF_LANE_WIDTH_M = 1.75  # half width around a centre line that counts as the lane
+MIN_LOGGED_SPEED_M_S = 1.0  # a faster logged vehicle counts as moving
+MIN_DRIVEN_DISTANCE_M = 5.0  # a longer track counts as driven
+# Lower bound, upper bound, colour.
+DEVIATION_BANDS_M = ((0.1, 0.5, "#F0E442"), (0.5, 1.0, "#E69F00"), (1.0, np.inf, "#D55E00"))
 DATASET_COLOUR, OUTSIDE_COLOUR, INSIDE_COLOUR, PICTURED_EGO_COLOUR = "#BBD7EA", "#333333", "#009E73", "#0072B2"
 PICTURE_WIDTH_IN, MIN_PICTURE_HEIGHT_IN, MAX_PICTURE_HEIGHT_IN = 14.0, 6.0, 18.0  # inches; 100 dots an inch
 FIDELITY_COLUMNS = (
@@ -48,8 +49,13 @@ Report = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
-    """Samples of all lanes. xy ``(n, 2)`` m; distance ``(n,)`` m to the nearest SUMO lane of the same direction, at
-    most ``MAX_LANE_DEVIATION_M``."""
+    """Samples of all lanes.
+
+    Attributes:
+        xy: The places of the samples, ``(n, 2)`` [m].
+        distance: The distance to the nearest SUMO lane of the same direction, ``(n,)`` [m], at most
+            ``MAX_LANE_DEVIATION_M``.
+    """
 
     xy: Floats
     distance: Floats
@@ -57,7 +63,13 @@ class Deviations:
 
 @dataclass(frozen=True, slots=True)
 class Fidelity:
-    """The report of one record as plain values, the samples behind it, and every driven track's stretches."""
+    """The fidelity of one record.
+
+    Attributes:
+        report: The report as plain values.
+        deviations: The samples behind it.
+        matched: The stretches of each vehicle's track by its id.
+    """
 
     report: Mapping[str, Any]
     deviations: Deviations
@@ -65,7 +77,16 @@ class Fidelity:
 
 
 def measure_fidelity(record: Record, net: SumoNet, converted: ConvertedNetwork) -> Fidelity:
-    """Every figure of the report but random traffic and the time it took."""
+    """Return every figure of the report except random traffic and computing time.
+
+    Args:
+        record: The record.
+        net: The converted network.
+        converted: The result of the conversion.
+
+    Returns:
+        The fidelity.
+    """
     deviations = lane_deviations(record, net)
     graph = net_graph(net)
     tracks = [t for t in record.tracks if t.kind == VEHICLE]
@@ -82,7 +103,7 @@ def measure_fidelity(record: Record, net: SumoNet, converted: ConvertedNetwork) 
 
 
 def kept_lanes(record: Record) -> dict[int, Floats]:
-    """The centre lines ``(n, 3)`` of all lanes that have a length."""
+    """Return the centre lines ``(n, 3)`` [m] of all lanes that have a length, by id."""
     return {
         i: lane.points
         for i, lane in record.lanes.items()
@@ -91,7 +112,7 @@ def kept_lanes(record: Record) -> dict[int, Floats]:
 
 
 def lane_deviations(record: Record, net: SumoNet) -> Deviations:
-    """Samples every ``LANE_SAMPLE_STEP_M`` of all lanes, and how far SUMO's lanes are from them."""
+    """Sample all lanes every ``LANE_SAMPLE_STEP_M``, and measure the distance to SUMO's lanes."""
     places, distances = [np.empty((0, 2))], [np.empty(0)]
     for bikes in (False, True):
         lines = [p for i, p in kept_lanes(record).items() if (record.lanes[i].kind == BIKE) == bikes]
@@ -110,6 +131,7 @@ def lane_deviations(record: Record, net: SumoNet) -> Deviations:
 
 
 def _percentiles(deviations: Deviations) -> dict[str, float]:
+    """Return percentiles of the deviations, and the shares within limits."""
     d = deviations.distance
     p50, p95, p99 = np.percentile(d, (50, 95, 99))
     shares = {f"within_{r:g}": float((d <= r).mean()) for r in (0.1, 0.5, 1.0)}
@@ -119,7 +141,7 @@ def _percentiles(deviations: Deviations) -> dict[str, float]:
 
 
 def _lengths(record: Record, pieces: Mapping[int, Sequence[LanePiece]]) -> dict[str, float]:
-    """Lane length, the share of it that pieces represent, and the share inside junctions."""
+    """Return the lane length, the share of it that pieces represent, and the share inside junctions."""
     whole = covered = inside = 0.0
     for i, points in kept_lanes(record).items():
         length = float(line_stations(points)[-1])
@@ -134,7 +156,7 @@ def _lengths(record: Record, pieces: Mapping[int, Sequence[LanePiece]]) -> dict[
 
 
 def _union(ranges: Sequence[tuple[float, float]], length: float) -> float:
-    """How much of [0, length] the ranges cover together."""
+    """Return how much of [0, length] the ranges cover together."""
     total, reached = 0.0, 0.0
     for start, end in sorted(ranges):
         start, end = max(start, reached), min(end, length)
@@ -144,8 +166,19 @@ def _union(ranges: Sequence[tuple[float, float]], length: float) -> float:
 
 
 def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[LanePiece]]) -> dict[str, Any]:
-    """How many of the record's connections (a lane and its exit, less than ``MAX_CONNECTION_GAP_M`` apart) can be
-    driven in SUMO, from a lane's last piece to the next one's first."""
+    """Count the record's connections that can be driven in SUMO.
+
+    A connection is a lane and its exit, less than ``MAX_CONNECTION_GAP_M`` apart. It is kept if SUMO leads from the
+    lane's last piece to the exit's first piece.
+
+    Args:
+        record: The record.
+        net: The converted network.
+        pieces: The pieces of each lane by id.
+
+    Returns:
+        The numbers ``wanted`` and ``kept``, the ``share``, and the pairs that are ``lost``.
+    """
     lines = kept_lanes(record)
     connections = [
         (i, e)
@@ -159,6 +192,7 @@ def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Lan
 
 
 def _joined(net: SumoNet, before: Sequence[LanePiece], after: Sequence[LanePiece]) -> bool:
+    """Return whether SUMO leads from a lane's last piece to another lane's first piece."""
     if not before or not after:
         return False
     end, start = max(p.end for p in before), min(p.start for p in after)
@@ -168,7 +202,7 @@ def _joined(net: SumoNet, before: Sequence[LanePiece], after: Sequence[LanePiece
 
 
 def _onward(net: SumoNet, lane: str) -> set[str]:
-    """The lanes after ``lane``, and those after them where they are shorter than ``MAX_CONNECTION_GAP_M``."""
+    """Return the lanes after ``lane``, continuing through lanes shorter than ``MAX_CONNECTION_GAP_M``."""
     reached: set[str] = set()
     queue = list(net.following.get(lane, ()))
     while queue:
@@ -184,7 +218,7 @@ def _onward(net: SumoNet, lane: str) -> set[str]:
 
 
 def _signals(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[LanePiece]]) -> dict[str, int]:
-    """Signal lanes of the record, those ever seen in a known state, and those that a SUMO signal rules."""
+    """Count the record's signal lanes, those ever seen in a known state, and those that a SUMO signal rules."""
     lanes = {s.lane for step in record.signals for s in step}
     seen = {s.lane for step in record.signals for s in step if s.state}
     ruled = {x for link in net.links if link.signal for x in (link.start, link.via, link.end)}
@@ -194,7 +228,12 @@ def _signals(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[LanePie
 
 
 def inside_lanes(record: Record, net: SumoNet) -> dict[str, float]:
-    """Logged positions of moving vehicles: the share inside a SUMO lane, and within 1.75 m of a WOMD centre line."""
+    """Return how many logged positions of moving vehicles lie in lanes.
+
+    Returns:
+        The number of ``states``, the share ``inside`` a SUMO lane, and the share ``near_centre``, within 1.75 m of a
+        centre line of the record.
+    """
     xy = _moving(record)
     if not len(xy):
         return {"states": 0, "inside": 1.0, "near_centre": 1.0}
@@ -209,7 +248,7 @@ def inside_lanes(record: Record, net: SumoNet) -> dict[str, float]:
 
 
 def _moving(record: Record) -> Floats:
-    """Centres ``(n, 2)`` of all valid states of vehicles that move."""
+    """Return the centres ``(n, 2)`` [m] of all valid states of vehicles that move."""
     parts = [np.empty((0, 2))]
     for t in record.tracks:
         if t.kind == VEHICLE:
@@ -221,7 +260,9 @@ def _moving(record: Record) -> Floats:
 def _routes(
     record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, tuple[MatchedStretch, ...]]
 ) -> dict[str, Any]:
-    """Driven tracks, those with edges that break in SUMO, and those that break on the record's own graph."""
+    """Return the number of driven tracks, and the ids of those that break in SUMO, break in the record, or are on no
+    lane.
+    """
     own: LaneGraph = record_graph(record)
     driven = [t for t in tracks if np.hypot(np.diff(t.x[t.valid]), np.diff(t.y[t.valid])).sum() > MIN_DRIVEN_DISTANCE_M]
     broken = [t.id for t in driven if not router.unbroken(matched[t.id])]
@@ -233,7 +274,17 @@ def _routes(
 
 
 def draw_fidelity(target: Path, record: Record, net: SumoNet, fidelity: Fidelity) -> None:
-    """Write a PNG, 1400 px wide, to ``target``. Raises OSError if the file cannot be written."""
+    """Draw the record, the network and their deviations as a PNG, 1400 px wide.
+
+    Args:
+        target: The file to write.
+        record: The record.
+        net: The converted network.
+        fidelity: The fidelity.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     from matplotlib.figure import Figure
 
     lines = [points[:, :2] for points in kept_lanes(record).values()]
@@ -282,6 +333,7 @@ def _lines(axes: Any, lines: list[Any], colour: str, width: float, name: str) ->
 
 
 def _title(fidelity: Fidelity) -> str:
+    """Return the title of the picture."""
     r = fidelity.report
     return (
         f"{r['scenario_id']}: {r['lane_length'] / 1000:.2f} km of lanes, {100 * r['represented']:.1f} % represented; "
@@ -291,7 +343,7 @@ def _title(fidelity: Fidelity) -> str:
 
 
 def row(report: Report) -> tuple[str, ...]:
-    """One record's cells; ``LEGEND`` explains them."""
+    """Return one record's cells of the table; ``LEGEND`` explains them."""
     d, c, s, v, r = (report[k] for k in ("deviation", "connectivity", "signals", "vehicles", "routes"))
     t = report["traffic"]
     return (

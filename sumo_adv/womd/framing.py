@@ -1,7 +1,8 @@
-"""TFRecord framing: ``u64le length | u32le masked CRC of the length | data | u32le masked CRC of the data``.
+"""Read and write TFRecord framing.
 
-The checksum is CRC-32C (Castagnoli, reflected polynomial 0x82F63B78). It is linear, so long data are cut into strips
-that numpy runs through the table side by side and that are joined by the operator "append n zero bytes".
+A frame is ``u64le length | u32le masked CRC of the length | data | u32le masked CRC of the data``. The checksum is
+CRC-32C (Castagnoli, reflected polynomial 0x82F63B78). The checksum is linear. Long data are therefore cut into strips,
+which numpy runs through the table in parallel and which the operator "append n zero bytes" joins.
 """
 
 from __future__ import annotations
@@ -19,16 +20,22 @@ from sumo_adv.errors import UsageError
 
 CRC_POLYNOMIAL = 0x82F63B78
 CRC_MASK_DELTA = 0xA282EAD8
-MAX_RECORD_BYTES = 1 << 30  # of one record; real ones have about 1 MB
+MAX_RECORD_BYTES = 1 << 30  # maximum size of one record; real ones have about 1 MB
 _HEAD = struct.Struct("<QI")
-_STRIP_COUNT = 1024  # strips that are computed side by side
-_MIN_STRIPPED_BYTES = 4096  # from which strips are worth it
+_STRIP_COUNT = 1024  # strips that are computed in parallel
+_MIN_STRIPPED_BYTES = 4096  # data of at least this size are cut into strips
 _ALL_ONES = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, slots=True)
 class RecordFrame:
-    """One record's bytes; ``number`` counts from 0; ``data`` is None where they were skipped."""
+    """One record of a file.
+
+    Attributes:
+        number: Its number, from 0.
+        data: Its bytes; None if they were skipped.
+        intact: Whether the bytes match their checksum.
+    """
 
     number: int
     data: bytes | None
@@ -36,13 +43,19 @@ class RecordFrame:
 
 
 def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[RecordFrame]:
-    """The records of ``file`` one at a time; the first ``skip`` ones without their bytes.
+    """Yield the records of a file one at a time.
 
-    A frame with data that do not match their checksum is given with ``intact`` False.
+    Args:
+        file: The open file.
+        name: The name of the file, for messages.
+        skip: The number of records at the start that are yielded without their bytes.
+
+    Yields:
+        The records. ``intact`` is False for data that do not match their checksum.
 
     Raises:
-        UsageError: the file ends inside a record, or a length does not match its checksum (nothing can be found
-            after that).
+        UsageError: The file ends inside a record, a length does not match its checksum (nothing can be found after
+            that), or a length is above ``MAX_RECORD_BYTES``.
     """
     number = 0
     while head := file.read(_HEAD.size):
@@ -68,20 +81,20 @@ def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[RecordFram
 
 
 def frame(data: bytes) -> bytes:
-    """``data`` as one record of a TFRecord file."""
+    """Return ``data`` as one record of a TFRecord file."""
     length = len(data).to_bytes(8, "little")
     checks = [masked_crc(part).to_bytes(4, "little") for part in (length, data)]
     return length + checks[0] + data + checks[1]
 
 
 def masked_crc(data: bytes) -> int:
-    """TFRecord's masked CRC-32C of ``data``."""
+    """Return TFRecord's masked CRC-32C of ``data``."""
     crc = crc32c(data)
     return (((crc >> 15) | (crc << 17)) + CRC_MASK_DELTA) & _ALL_ONES
 
 
 def crc32c(data: bytes) -> int:
-    """CRC-32C of ``data``."""
+    """Return the CRC-32C of ``data``."""
     crc, rest = _ALL_ONES, data
     if len(data) >= _MIN_STRIPPED_BYTES:
         size = len(data) // _STRIP_COUNT
@@ -94,7 +107,7 @@ def crc32c(data: bytes) -> int:
 
 
 def _strip_crcs(strips: NDArray[np.uint8]) -> list[int]:
-    """The register after each strip ``(k, n)``, begun with ones for the first and zeros for the others."""
+    """Return the register after each strip ``(k, n)``, starting with ones for the first and zeros for the others."""
     table = _table()
     register = np.zeros(len(strips), np.uint32)
     register[0] = _ALL_ONES
@@ -104,7 +117,7 @@ def _strip_crcs(strips: NDArray[np.uint8]) -> list[int]:
 
 
 def _join(registers: list[int], size: int) -> int:
-    """The register after all strips of ``size`` bytes: shift by a strip, add the next."""
+    """Return the register after all strips of ``size`` bytes: shift by one strip, then add the next."""
     a, b, c, d = _zero_bytes(size)
     crc = registers[0]
     for value in registers[1:]:
@@ -114,7 +127,7 @@ def _join(registers: list[int], size: int) -> int:
 
 @lru_cache(maxsize=1)
 def _table() -> NDArray[np.uint32]:
-    """What one byte does to the register."""
+    """Return the effect of one byte on the register."""
     table: NDArray[np.uint32] = np.arange(256, dtype=np.uint32)
     for _ in range(8):
         table = (table >> np.uint32(1)) ^ (table & np.uint32(1)) * np.uint32(CRC_POLYNOMIAL)
@@ -123,7 +136,7 @@ def _table() -> NDArray[np.uint32]:
 
 @lru_cache(maxsize=64)
 def _zero_bytes(size: int) -> tuple[list[int], list[int], list[int], list[int]]:
-    """Tables of "append ``size`` zero bytes" for the register's four bytes, lowest first, by repeated squaring."""
+    """Return tables of "append ``size`` zero bytes" for the register's four bytes, lowest first (repeated squaring)."""
     bits = np.left_shift(np.uint32(1), np.arange(32, dtype=np.uint32))
     result, power = bits, _table()[bits & 0xFF] ^ (bits >> 8)  # images of the 32 single bits
     while size:
@@ -136,6 +149,6 @@ def _zero_bytes(size: int) -> tuple[list[int], list[int], list[int], list[int]]:
 
 
 def _apply(matrix: NDArray[np.uint32], vectors: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """A linear map over bits, given by the images of the single bits ``(32,)``, of each vector ``(n,)``."""
+    """Apply a linear map over bits, given by the images of the single bits ``(32,)``, to each vector ``(n,)``."""
     chosen = (vectors[:, None] >> np.arange(32, dtype=np.uint32)) & 1
     return np.bitwise_xor.reduce(np.where(chosen == 1, matrix, np.uint32(0)), axis=1)

@@ -1,5 +1,8 @@
-"""Lines as point arrays ``(n, 2)`` or ``(n, 3)`` [m] with stations along the ground: cutting, sampling, turning, and
-which of many lines lie near many points, exactly and at once."""
+"""Work with lines: cut, sample and measure them, and find which of many lines lie near many points.
+
+A line is an array of points ``(n, 2)`` or ``(n, 3)`` [m]. Its stations are measured along the ground. The search for
+near lines is exact and handles all points at once.
+"""
 
 from __future__ import annotations
 
@@ -13,42 +16,70 @@ from sumo_adv import geometry
 from sumo_adv.datatypes import Floats, Ints
 from sumo_adv.geometry import wrap, wrap_below_pi
 
-SAME_POINT_DISTANCE_M = 1e-3  # points nearer than this are one
+SAME_POINT_DISTANCE_M = 1e-3  # points nearer than this are the same
 MAX_CONNECTION_GAP_M = 1.0  # between the end of a lane and the start of its exit
-AREA_SEAM_M = 0.2  # gaps between areas that are no gaps of the road
+AREA_SEAM_M = 0.2  # gaps between areas up to about twice this width are closed
 
 
 def line_stations(points: Floats) -> Floats:
-    """Distance of each point from the first along the ground ``(n,)`` [m]."""
+    """Return the distance of each point from the first along the ground, ``(n,)`` [m]."""
     return geometry.stations(*points[:, :2].T)
 
 
 def distinct_points(points: Floats) -> Floats:
-    """The points without those that repeat the one before."""
+    """Return the points without those that repeat the previous one."""
     step = np.hypot(*np.diff(points[:, :2], axis=0).T)
     return points[np.concatenate([[True], step > SAME_POINT_DISTANCE_M])]
 
 
 def at(points: Floats, along: Floats, where: Floats | float) -> Floats:
-    """Points at stations ``where``; ``along`` are the stations of ``points``."""
+    """Return the points of a line at stations.
+
+    Args:
+        points: The line, ``(n, 2)`` or ``(n, 3)`` [m].
+        along: The stations of its points, ``(n,)`` [m].
+        where: The stations [m], of any shape.
+
+    Returns:
+        The points; the last axis holds their coordinates.
+    """
     return np.stack([np.interp(where, along, points[:, k]) for k in range(points.shape[1])], axis=-1)
 
 
 def part(points: Floats, along: Floats, start: float, end: float) -> Floats:
-    """The line from station ``start`` to ``end``, with its own points between."""
+    """Return the part of a line between two stations, with its own points between.
+
+    Args:
+        points: The line [m].
+        along: The stations of its points [m].
+        start: The first station [m].
+        end: The last station [m].
+
+    Returns:
+        The part.
+    """
     inner = points[(along > start + SAME_POINT_DISTANCE_M) & (along < end - SAME_POINT_DISTANCE_M)]
     ends = at(points, along, np.array([start, end]))
     return np.vstack([ends[:1], inner, ends[1:]])
 
 
 def headings(points: Floats, along: Floats, where: Floats) -> Floats:
-    """Directions [rad] at stations ``where``, from points 0.5 m before and after."""
+    """Return the directions of a line at stations, from points 0.5 m before and after.
+
+    Args:
+        points: The line [m].
+        along: The stations of its points [m].
+        where: The stations [m].
+
+    Returns:
+        The directions [rad].
+    """
     behind, ahead = at(points, along, where - 0.5), at(points, along, where + 0.5)
     return np.arctan2(ahead[..., 1] - behind[..., 1], ahead[..., 0] - behind[..., 0])
 
 
 def turned(points: Floats) -> float:
-    """Heading at the end less heading at the start [rad], added up along the line (left positive)."""
+    """Return the heading at the end minus that at the start, accumulated along the line [rad], left positive."""
     step = np.diff(points[:, :2], axis=0)
     step = step[np.hypot(*step.T) > SAME_POINT_DISTANCE_M]
     heading = np.arctan2(step[:, 1], step[:, 0])
@@ -56,16 +87,20 @@ def turned(points: Floats) -> float:
 
 
 def joined_line(parts: Sequence[Floats]) -> Floats:
-    """One line through all parts, doubled points left out."""
+    """Return one line through all parts, without repeated points."""
     return distinct_points(np.vstack(parts))
 
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """Pairs of a point and a segment near it, all ``(k,)``.
+    """Pairs of a point and a segment near it. All arrays have shape ``(k,)``.
 
-    point: index of the point; line: index into ``Segments.names``; distance m; station m along the line; turned rad:
-    angle between the point's heading and the segment, in [0, pi] (0 where no headings were given).
+    Attributes:
+        point: The index of the point.
+        line: The index of the line in ``LineSegments.names``.
+        distance: The distance [m].
+        station: The station of the nearest place on the line [m].
+        turned: The angle between the point's heading and the segment [rad], in [0, pi]; 0 without headings.
     """
 
     point: Ints
@@ -75,17 +110,25 @@ class Hits:
     turned: Floats
 
     def where(self, chosen: Any) -> Hits:
-        """Only the pairs of a mask."""
+        """Return only the pairs that a mask or index selects."""
         return Hits(*(v[chosen] for v in (self.point, self.line, self.distance, self.station, self.turned)))
 
     def least(self, points: int, beyond: float) -> Floats:
-        """For each of ``points`` points the least distance; ``beyond`` where it has no pair."""
+        """Return the minimum distance for each point.
+
+        Args:
+            points: The number of points.
+            beyond: The value for a point without a pair, and the maximum.
+
+        Returns:
+            The distances [m], ``(points,)``.
+        """
         distances = np.full(points, beyond)
         np.minimum.at(distances, self.point, self.distance)
         return distances
 
     def nearest_of_each_line(self) -> Hits:
-        """For each point and line only the nearest segment, ordered by point, then line."""
+        """Return only the nearest segment for each point and line, ordered by point, then by line."""
         order = np.lexsort((self.distance, self.line, self.point))
         point, line = self.point[order], self.line[order]
         first = np.ones(len(order), bool)
@@ -94,9 +137,18 @@ class Hits:
 
 
 class LineSegments:
-    """The segments of named polylines ``(n, 2+)`` m; lines of fewer than two points have none."""
+    """The segments of named polylines.
+
+    Attributes:
+        names: The names of the lines.
+    """
 
     def __init__(self, lines: Mapping[Any, Floats]) -> None:
+        """Index the segments.
+
+        Args:
+            lines: The lines by name, ``(n, 2)`` or wider [m]. A line of fewer than two points has no segments.
+        """
         from shapely import STRtree, linestrings
 
         self.names: Sequence[Any] = list(lines)
@@ -111,7 +163,16 @@ class LineSegments:
         self._tree = STRtree(linestrings(np.stack([self._a, self._b], axis=1)))
 
     def near(self, points: Floats, radius: float, headings: Floats | None = None) -> Hits:
-        """All segments within ``radius`` m of points ``(n, 2)``."""
+        """Return all segments near points.
+
+        Args:
+            points: The points, ``(n, 2)`` [m].
+            radius: The maximum distance [m].
+            headings: The headings of the points [rad]; None if they do not matter.
+
+        Returns:
+            The pairs of points and segments.
+        """
         from shapely import points as as_points
 
         point, segment = self._tree.query(as_points(points), predicate="dwithin", distance=radius)
@@ -128,7 +189,15 @@ class LineSegments:
 
 
 def resample(points: Floats, step: float) -> tuple[Floats, Floats, Floats]:
-    """Stations, points ``(n, 2)`` and headings of a polyline about every ``step`` m, both ends included."""
+    """Sample a polyline about every ``step`` metres, including both ends.
+
+    Args:
+        points: The line [m].
+        step: The approximate spacing [m].
+
+    Returns:
+        Stations [m], points ``(n, 2)`` [m] and headings [rad].
+    """
     at = line_stations(points)
     count = max(2, round(at[-1] / step) + 1)
     grid = np.linspace(0.0, at[-1], count)
@@ -138,7 +207,7 @@ def resample(points: Floats, step: float) -> tuple[Floats, Floats, Floats]:
 
 
 def road_outline(areas: Sequence[Any]) -> list[Floats]:
-    """Closed lines ``(n, 2)`` [m] around the union of shapely polygons."""
+    """Return closed lines ``(n, 2)`` [m] around the union of shapely polygons."""
     from shapely import get_parts, union_all
 
     ground = union_all([area.buffer(AREA_SEAM_M) for area in areas]).buffer(-AREA_SEAM_M)

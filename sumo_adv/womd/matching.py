@@ -1,8 +1,9 @@
-"""Which lanes a logged vehicle drove: the cheapest chain of lanes (Viterbi) through its positions.
+"""Find which lanes a logged vehicle drove: the cheapest chain of lanes (Viterbi) through its positions.
 
 The same search runs on the record's own lane graph and on the SUMO network, so that their breaks can be compared. A
-break is where no lane near the vehicle can be reached from any lane it was near before. The SUMO network is read here
-as this package measures it: unlike ``simulation.network`` with internal lanes in their order, and with bicycle lanes.
+break is where no lane near the vehicle can be reached from any lane that it was near before. This module reads the SUMO
+network as this package needs it: unlike ``simulation.network``, with internal lanes in their order and with bicycle
+lanes.
 """
 
 from __future__ import annotations
@@ -22,23 +23,33 @@ from sumo_adv.datatypes import Floats, Ints
 from sumo_adv.womd.lines import LineSegments, line_stations
 from sumo_adv.womd.record import BIKE, LaneFeature, ObjectTrack, Record
 
-SUMO_LANE_WIDTH_M = 3.2  # SUMO's for lanes without one
-MAX_MATCH_DISTANCE_M = 2.5  # from a lane's centre line at which a vehicle may still be on it
-MAX_MATCH_ANGLE_RAD = 0.9  # between vehicle and lane at most
-LATERAL_SIGMA_M = 0.8  # of a vehicle about its lane's centre line
-HEADING_SIGMA_RAD = 0.35  # of its heading about the lane's
-DETOUR_SIGMA_M = 3.0  # of the way along the lanes about the way driven
-LANE_CHANGE_COST = 1.0  # of a lane change
-MAX_DETOUR_M = 12.0  # that the way along the lanes may be longer than the way driven
-MATCHED_STEP_M = 3.0  # between the positions that are matched
-SEARCH_STEP_M = 20.0  # by which the search ahead grows
+SUMO_LANE_WIDTH_M = 3.2  # SUMO's default width
+MAX_MATCH_DISTANCE_M = 2.5  # maximum distance of a vehicle on a lane from its centre line
+MAX_MATCH_ANGLE_RAD = 0.9  # maximum angle between a vehicle and its lane
+LATERAL_SIGMA_M = 0.8  # standard deviation of a vehicle's distance from its lane's centre line
+HEADING_SIGMA_RAD = 0.35  # standard deviation of its heading from the lane's
+DETOUR_SIGMA_M = 3.0  # standard deviation of the distance along the lanes from the distance driven
+LANE_CHANGE_COST = 1.0  # cost of one lane change
+MAX_DETOUR_M = 12.0  # by which the distance along the lanes may exceed the distance driven
+MATCHED_STEP_M = 3.0  # approximate distance between the positions that are matched
+SEARCH_STEP_M = 20.0  # the reach of a search is rounded up to a multiple of this
 MAX_LANE_CHANGES = 2  # lane changes between two positions
 Lane = Any  # a SUMO lane's name or a WOMD lane's number
 
 
 @dataclass(frozen=True, slots=True)
 class NetLane:
-    """One lane. shape ``(n, 2)`` m; width, length m; cars, bicycles: which vehicles may use it."""
+    """One lane of a SUMO network.
+
+    Attributes:
+        edge: The id of its edge.
+        shape: Its shape, ``(n, 2)`` [m].
+        width: Its width [m].
+        length: Its length in SUMO [m].
+        internal: Whether it lies within a junction.
+        cars: Whether cars may use it.
+        bicycles: Whether bicycles may use it.
+    """
 
     edge: str
     shape: Floats
@@ -51,8 +62,15 @@ class NetLane:
 
 @dataclass(frozen=True, slots=True)
 class LaneLink:
-    """One connection between lanes, the internal ones in between aside. direction: SUMO's letter; signal: whether a
-    traffic light rules it."""
+    """One connection between two lanes outside junctions.
+
+    Attributes:
+        start: The id of the lane before.
+        end: The id of the lane after.
+        via: The id of the first internal lane; empty without one.
+        direction: SUMO's letter of the direction.
+        signal: Whether a traffic light rules it.
+    """
 
     start: str
     end: str
@@ -63,8 +81,14 @@ class LaneLink:
 
 @dataclass(frozen=True, slots=True)
 class SumoNet:
-    """Lanes by id; edges to their lanes, rightmost first; following: lane to the lanes a vehicle is on next, internal
-    ones included; links: connections between normal lanes."""
+    """A SUMO network.
+
+    Attributes:
+        lanes: The lanes by id.
+        edges: The lanes of each edge by its id, rightmost first.
+        following: For each lane, the lanes that a vehicle is on next, including internal ones.
+        links: The connections between lanes outside junctions.
+    """
 
     lanes: Mapping[str, NetLane]
     edges: Mapping[str, tuple[str, ...]]
@@ -72,7 +96,7 @@ class SumoNet:
     links: tuple[LaneLink, ...]
 
     def inner(self, link: LaneLink) -> tuple[str, ...]:
-        """The internal lanes of a link, in order."""
+        """Return the internal lanes of a link, in order."""
         chain: list[str] = []
         lane = link.via
         while lane in self.lanes and lane not in chain and self.lanes[lane].internal:
@@ -82,7 +106,7 @@ class SumoNet:
 
 
 def read_net(path: Path) -> SumoNet:
-    """The network at ``path`` (written by ourselves: errors are not dressed up)."""
+    """Read a network that this package has written. Exceptions are not converted."""
     root = ElementTree.parse(path).getroot()
     lanes: dict[str, NetLane] = {}
     edges: dict[str, tuple[str, ...]] = {}
@@ -124,21 +148,34 @@ def _allows(attributes: Mapping[str, str], kind: str) -> bool:
 
 @dataclass(frozen=True)
 class LaneGraph:
-    """Lanes as polylines, what follows each, and what lies beside it: the other lane, and the other's station minus
-    its own at the same height, m."""
+    """Lanes as polylines with their relations.
+
+    Attributes:
+        lengths: The length of each lane [m].
+        following: The lanes that follow each lane.
+        beside: The lanes beside each lane, each with its station minus that of the lane at the same place along the
+            road [m].
+        segments: The segments of all lanes.
+        ways: Results of earlier searches.
+    """
 
     lengths: Mapping[Lane, float]
     following: Mapping[Lane, Sequence[Lane]]
     beside: Mapping[Lane, Sequence[tuple[Lane, float]]]
     segments: LineSegments = field(repr=False)
-    # kept between searches
+    # results of earlier searches
     ways: dict[tuple[Lane, int], dict[Lane, LaneRoute]] = field(repr=False, default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class LaneRoute:
-    """From station 0 of one lane to station 0 of another: m along the lanes, lane changes, lanes passed (the first
-    left out)."""
+    """A way from station 0 of one lane to station 0 of another.
+
+    Attributes:
+        length: Its length along the lanes [m].
+        changes: The number of lane changes.
+        passed: The lanes on the way, without the first.
+    """
 
     length: float
     changes: int
@@ -147,7 +184,13 @@ class LaneRoute:
 
 @dataclass(frozen=True, slots=True)
 class MatchedStretch:
-    """A part of a track without a break: the ``steps`` that were matched, the lane at each, and all lanes driven."""
+    """A part of a track without a break.
+
+    Attributes:
+        steps: The steps that were matched.
+        lanes: The lane at each of these steps.
+        driven: All lanes that were driven, in order.
+    """
 
     steps: tuple[int, ...]
     lanes: tuple[Lane, ...]
@@ -155,7 +198,10 @@ class MatchedStretch:
 
 
 def record_graph(record: Record) -> LaneGraph:
-    """The dataset's own graph, bike lanes aside: exits, and neighbours over any part."""
+    """Return the record's own graph without bike lanes.
+
+    It contains exits, and neighbours over any part of a lane.
+    """
     kept = {i: lane for i, lane in record.lanes.items() if lane.kind != BIKE and len(lane.points) > 1}
     at = {i: line_stations(lane.points) for i, lane in kept.items()}
     return LaneGraph(
@@ -166,6 +212,7 @@ def record_graph(record: Record) -> LaneGraph:
 
 
 def _neighbours(lane: LaneFeature, at: Mapping[int, Floats]) -> tuple[tuple[int, float], ...]:
+    """Return the neighbours of a lane, each with its station minus that of the lane at the same place [m]."""
     neighbours = []
     for n in (*lane.left, *lane.right):
         if n.lane in at and 0 <= n.own_start < len(at[lane.id]) and 0 <= n.other_start < len(at[n.lane]):
@@ -174,8 +221,12 @@ def _neighbours(lane: LaneFeature, at: Mapping[int, Floats]) -> tuple[tuple[int,
 
 
 def net_graph(net: SumoNet) -> LaneGraph:
-    """SUMO's graph for cars: connections, the lanes of one edge, and of a junction the internal lanes that share the
-    edge they come from (same height at their beginnings) or lead to (at their ends): such a change keeps the route."""
+    """Return SUMO's graph for cars.
+
+    It contains connections and the lanes of one edge. In a junction, it also joins the first internal lanes that come
+    from one edge (aligned at their beginnings) and the last internal lanes that lead to one edge (aligned at their
+    ends), because such a lane change keeps the route.
+    """
     kept = {name: lane for name, lane in net.lanes.items() if lane.cars}
     lengths = {name: float(line_stations(lane.shape)[-1]) for name, lane in kept.items()}
     beside: dict[Lane, dict[Lane, float]] = {
@@ -200,9 +251,16 @@ def net_graph(net: SumoNet) -> LaneGraph:
 
 
 def match(graph: LaneGraph, track: ObjectTrack) -> tuple[MatchedStretch, ...]:
-    """The stretches of a track on the graph's lanes; more than one: it breaks in between; none: it is on no lane.
+    """Return the stretches of a track on the graph's lanes.
 
-    Positions with no lane near are passed over.
+    Positions without a near lane are skipped.
+
+    Args:
+        graph: The lanes.
+        track: The track.
+
+    Returns:
+        The stretches. With more than one, the track breaks between them. With none, the track is on no lane.
     """
     steps, way = _positions(track)
     if not len(steps):
@@ -225,7 +283,9 @@ def match(graph: LaneGraph, track: ObjectTrack) -> tuple[MatchedStretch, ...]:
 
 
 def _positions(track: ObjectTrack) -> tuple[Ints, Floats]:
-    """Steps about ``MATCHED_STEP_M`` apart, the first and the last one included, and the way driven until each, m."""
+    """Return steps about ``MATCHED_STEP_M`` apart, including the first and last, and the distance driven until each
+    [m].
+    """
     valid = np.flatnonzero(track.valid)
     if not len(valid):
         return valid, np.empty(0)
@@ -236,14 +296,23 @@ def _positions(track: ObjectTrack) -> tuple[Ints, Floats]:
 
 
 class _Row:
-    """The candidates at one position: lanes, stations on them, costs so far, and where each came from."""
+    """The candidates at one position.
+
+    Attributes:
+        step: The time step.
+        way: The distance driven until then [m].
+        lanes: The candidate lanes.
+        at: The station on each [m].
+        cost: The cost of the cheapest chain to each.
+        origin: For each, the candidate that it was reached from and the way; None in the first row of a stretch.
+    """
 
     def __init__(self, step: int, way: float, lanes: list[Lane], at: Floats, cost: Floats) -> None:
         self.step, self.way, self.lanes, self.at, self.cost = step, way, lanes, at, cost
         self.origin: list[tuple[int, LaneRoute] | None] = [None] * len(lanes)
 
     def link(self, graph: LaneGraph, before: _Row) -> bool:
-        """Join to the row ``before``; False (and unchanged) if nothing here can be reached from there."""
+        """Link to the row ``before``; return False and change nothing if no candidate can be reached from there."""
         driven = self.way - before.way
         best = np.full(len(self.lanes), np.inf)
         origin: list[tuple[int, LaneRoute] | None] = [None] * len(self.lanes)
@@ -264,8 +333,10 @@ class _Row:
 
 
 def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, LaneRoute]:
-    """Ways to all lanes that begin less than ``reach`` m (rounded up) after the end of ``lane``: of fewest changes,
-    then shortest."""
+    """Return ways to all lanes that begin less than ``reach`` [m] after the end of ``lane``.
+
+    The reach is rounded up. Each way has the fewest lane changes, and is the shortest of those.
+    """
     rounds = math.ceil(reach / SEARCH_STEP_M)
     cached = graph.ways.get((lane, rounds))
     if cached is not None:
@@ -284,14 +355,14 @@ def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, LaneRoute]:
         if changes < MAX_LANE_CHANGES:
             onward += [(changes + 1, length - shift, next_lane) for next_lane, shift in graph.beside[here]]
         for more, start, next_lane in onward:
-            count += 1  # settles draws
+            count += 1  # breaks ties
             heapq.heappush(queue, (more, start, count, next_lane, (*passed, next_lane)))
     graph.ways[lane, rounds] = ways
     return ways
 
 
 def _traced(rows: list[_Row]) -> MatchedStretch:
-    """The cheapest chain through the rows."""
+    """Return the cheapest chain through the rows."""
     k = int(np.argmin(rows[-1].cost))
     lanes, parts = [rows[-1].lanes[k]], []
     for row, before in zip(rows[:0:-1], rows[-2::-1], strict=True):

@@ -1,7 +1,7 @@
-"""From a TFRecord file of Waymo scenarios to :class:`Record` values, one at a time.
+"""Read TFRecord files of Waymo scenarios as :class:`Record` values, one at a time.
 
-A faulty file or record is a UsageError of one sentence that names both; a reader that keeps going tells
-it and takes the next record. Needs the extra ``womd`` (protobuf).
+A faulty file or record raises a UsageError of one sentence that names both. A reader that continues after faults
+reports the error to a callback, and takes the next record. This module needs the extra ``womd`` (protobuf).
 """
 
 from __future__ import annotations
@@ -31,22 +31,28 @@ from sumo_adv.womd.record import (
     check_record,
 )
 
-MAX_TRACKS_PER_RECORD = 5_000  # of a record; of the dataset: some hundreds
-MAX_OBJECT_SIZE_M = 100.0  # length or width: a state with a larger one is taken for invalid
-MAX_INDEX_DIGITS = 9  # a longer number is an id
-_SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # it becomes a folder's name
+MAX_TRACKS_PER_RECORD = 5_000  # maximum number of tracks; records of the dataset have some hundreds
+MAX_OBJECT_SIZE_M = 100.0  # a state with a greater length or width counts as invalid
+MAX_INDEX_DIGITS = 9  # a longer number counts as an id
+_SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # an id becomes the name of a folder
 _AREAS = ("crosswalk", "speed_bump", "driveway")
 _TRACK_FIELDS = (
     "center_x", "center_y", "length", "width", "heading", "velocity_x", "velocity_y", "center_z", "height",
 )  # fmt: skip
-"""In the order of ``ObjectTrack``; the last two are only checked."""
+"""Fields of a state, in the order of ``ObjectTrack``. The last two are only checked."""
 
 Told = Callable[[UsageError], None]
 
 
 @dataclass(frozen=True, slots=True)
 class RecordChoice:
-    """Which records of a file: the one of this ``id``, the one at ``index`` (from 0), the ``first`` ones; or all."""
+    """Which records of a file to read. Without any of the fields, all records are read.
+
+    Attributes:
+        id: The id of the record.
+        index: The index of the record, from 0.
+        first: The number of records from the start.
+    """
 
     id: str | None = None
     index: int | None = None
@@ -57,13 +63,19 @@ ALL_RECORDS = RecordChoice()
 
 
 def read_records(path: Path, choice: RecordChoice = ALL_RECORDS, told: Told | None = None) -> Iterator[Record]:
-    """The chosen records of the file at ``path``, read as they are asked for.
+    """Yield the chosen records of a file, each read when it is requested.
 
-    told: takes the fault of a record, which is then passed over; None = it is raised.
+    Args:
+        path: The file.
+        choice: The records to read.
+        told: Receives the error of a faulty record, which is then skipped; None raises the error.
+
+    Yields:
+        The records.
 
     Raises:
-        UsageError: protobuf is not installed; the file cannot be read; it has no such record; a record is damaged or
-            is no scenario with a map and a current step (told of, if ``told`` is given).
+        UsageError: protobuf is not installed, the file cannot be read, or it has no such record. Without ``told``, also
+            if a record is damaged or is no scenario with a map and a current step.
     """
     parse = _parser()
     try:
@@ -75,7 +87,20 @@ def read_records(path: Path, choice: RecordChoice = ALL_RECORDS, told: Told | No
 
 
 def find_record(path: Path, choice: RecordChoice) -> Record:
-    """The chosen record. The search for an id passes over records that cannot be read. Raises UsageError."""
+    """Return the chosen record.
+
+    The search for an id skips records that cannot be read.
+
+    Args:
+        path: The file.
+        choice: The record to read.
+
+    Returns:
+        The record.
+
+    Raises:
+        UsageError: As for ``read_records``.
+    """
     wrong: list[UsageError] = []
     try:
         return next(read_records(path, choice, None if choice.id is None else wrong.append))
@@ -86,9 +111,17 @@ def find_record(path: Path, choice: RecordChoice) -> Record:
 
 
 def record_message(path: Path, content: str) -> Any:
-    """The Scenario message with the SHA-256 ``content`` (hex) of its bytes; None if the file has none.
+    """Return a Scenario message by its content.
 
-    Raises UsageError: protobuf is not installed, or the file cannot be read or is damaged before that record.
+    Args:
+        path: The file.
+        content: The SHA-256 of the message's bytes, in hex.
+
+    Returns:
+        The message; None if the file does not contain it.
+
+    Raises:
+        UsageError: protobuf is not installed, the file cannot be read, or it is damaged before that record.
     """
     parse = _parser()
     try:
@@ -102,7 +135,14 @@ def record_message(path: Path, content: str) -> Any:
 
 
 def choice_of(record: str | None) -> RecordChoice:
-    """The choice that ``--record`` means; the first record if it was not given."""
+    """Return the choice that the option ``--record`` means.
+
+    Args:
+        record: The value of the option, an index or an id; None means the first record.
+
+    Returns:
+        The choice.
+    """
     if record is None:
         return RecordChoice(index=0)
     if record.isascii() and record.isdigit() and len(record) <= MAX_INDEX_DIGITS:
@@ -111,7 +151,7 @@ def choice_of(record: str | None) -> RecordChoice:
 
 
 def _parser() -> Callable[[bytes], Any]:
-    """From bytes to a Scenario message."""
+    """Return the function that parses bytes as a Scenario message."""
     try:
         from sumo_adv.womd.scenario_pb2 import Scenario
     except ImportError as error:
@@ -122,7 +162,7 @@ def _parser() -> Callable[[bytes], Any]:
 
 
 def _patient(frames: Iterator[RecordFrame], told: Told | None) -> Iterator[RecordFrame]:
-    """``frames``, ending where their file is damaged; that is told, or raised."""
+    """Yield frames until their file is damaged, and report or raise that error."""
     try:
         yield from frames
     except UsageError as error:
@@ -134,6 +174,7 @@ def _patient(frames: Iterator[RecordFrame], told: Told | None) -> Iterator[Recor
 def _chosen(
     frames: Iterator[RecordFrame], path: Path, choice: RecordChoice, parse: Callable[[bytes], Any], told: Told | None
 ) -> Iterator[Record]:
+    """Yield the chosen records of the frames."""
     count = matches = 0
     for frame in islice(frames, choice.first):
         count = frame.number + 1
@@ -160,13 +201,13 @@ def _chosen(
 
 
 def _read(frame: RecordFrame, path: Path, chosen_id: str | None, parse: Callable[[bytes], Any]) -> Record | None:
-    """The record of ``frame``; None if it has another id than ``chosen_id``."""
+    """Return the record of a frame; None if its id is not ``chosen_id``."""
     label = f"Record {frame.number} of {path}"
     if not frame.intact or frame.data is None:
         raise UsageError(f"{label} is damaged: its checksum is wrong; fetch the file again.")
     try:
         message = parse(frame.data)
-    except Exception as error:  # DecodeError; its module differs between releases of protobuf
+    except Exception as error:  # usually DecodeError, whose module differs between releases of protobuf
         raise UsageError(f"{label} is no Scenario message of the Waymo Open Motion Dataset.") from error
     if chosen_id is not None and message.scenario_id != chosen_id:
         return None
@@ -174,14 +215,22 @@ def _read(frame: RecordFrame, path: Path, chosen_id: str | None, parse: Callable
 
 
 def parse_record(message: Any, where: str) -> Record:
-    """A Scenario message as a record. ``where`` names it in errors.
+    """Convert a Scenario message to a record.
 
-    Raises UsageError if it has no id, steps, current step, ego or map, contradicts itself, or spans too much.
+    Args:
+        message: The message.
+        where: Names the message in errors.
+
+    Returns:
+        The record.
+
+    Raises:
+        UsageError: The message has no id, steps, current step, ego or map, contradicts itself, or spans too much.
     """
     name, time = message.scenario_id, np.array(message.timestamps_seconds, dtype=np.float64)
     if not name or not len(time):
         raise UsageError(f"{where} is no scenario: it has no id or no time stamps (tf.Example files are not read).")
-    if isinstance(name, bytes) or _SAFE_ID.fullmatch(name) is None:  # protobuf gives what is no UTF-8 as bytes
+    if isinstance(name, bytes) or _SAFE_ID.fullmatch(name) is None:  # protobuf returns bytes if the id is not UTF-8
         raise UsageError(f"{where} has the id {name[:40]!r}, which cannot be the name of a folder.")
     label = f"{where} ('{name}')"
     if not np.isfinite(time).all() or (np.diff(time) <= 0.0).any():
@@ -212,7 +261,7 @@ def parse_record(message: Any, where: str) -> Record:
 
 
 def _points(points: Sequence[Any], label: str) -> Floats:
-    """Map points as ``(n, 3)`` m."""
+    """Return map points as ``(n, 3)`` [m]."""
     array = np.array([(p.x, p.y, p.z) for p in points], dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(array).all():
         raise UsageError(f"{label} has a map point that is not a finite number.")
@@ -265,7 +314,7 @@ def _areas(message: Any, label: str) -> list[AreaFeature]:
 
 
 def _signals(message: Any, steps: int, label: str) -> list[tuple[SignalState, ...]]:
-    """The signal states of every step; steps that the record does not hold have none."""
+    """Return the signal states of every step; empty for steps that the record does not contain."""
     states = [
         tuple(
             SignalState(s.lane, s.state, _points([s.stop_point], label)[0] if s.HasField("stop_point") else None)
@@ -277,6 +326,7 @@ def _signals(message: Any, steps: int, label: str) -> list[tuple[SignalState, ..
 
 
 def _track(track: Any, steps: int, label: str) -> ObjectTrack:
+    """Return a track; states with impossible numbers are not valid."""
     if len(track.states) != steps:
         raise UsageError(f"{label} has {len(track.states)} states for its track {track.id}, not one a step ({steps}).")
     columns = np.array([[getattr(state, field) for state in track.states] for field in _TRACK_FIELDS], dtype=np.float64)

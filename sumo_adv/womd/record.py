@@ -1,7 +1,7 @@
-"""A Waymo Open Motion Dataset record as arrays: what the reader gives and the converter takes.
+"""A record of the Waymo Open Motion Dataset as arrays, which the reader returns and the converter takes.
 
-Coordinates and headings are the record's own (m, rad counter-clockwise from +x); positions of objects are box centres.
-Numbers of enums are those of the dataset; names stand beside them.
+Coordinates [m] and headings [rad], counter-clockwise from +x, are those of the record. Positions of objects are box
+centres. Enum numbers are those of the dataset.
 """
 
 from __future__ import annotations
@@ -23,20 +23,29 @@ SIGNAL_STATES = (
     "unknown", "arrow_stop", "arrow_caution", "arrow_go", "stop", "caution", "go", "flashing_stop", "flashing_caution",
 )  # fmt: skip
 VEHICLE, BIKE = TRACK_KINDS.index("vehicle"), LANE_TYPES.index("bike")
-MAX_RECORD_EXTENT_M = 20_000.0  # between any two places; of the dataset: 600 m
-MAX_RECORD_ROAD_M = 500_000.0  # of lanes and lines together; of the dataset: 20 km
-MAX_RECORD_COORDINATE_M = 1e7  # from the origin: northings of UTM are up to 10,000 km
+MAX_RECORD_EXTENT_M = 20_000.0  # between any two places; 600 m in the dataset
+MAX_RECORD_ROAD_M = 500_000.0  # lanes and lines together; 20 km in the dataset
+MAX_RECORD_COORDINATE_M = 1e7  # from the origin; UTM northings are up to 10,000 km
 MAX_RECORD_DURATION_S = 3600.0  # from the first time stamp to the last
 RECORD_STEP_S = 0.1
-# that a time stamp may be off an even grid: clocks that are slow by 0.5 % are taken as they are
+# Maximum distance of a time stamp from an even grid; clocks that are slow by 0.5 % are accepted as they are.
 TIME_STAMP_TOLERANCE_S = 0.05
-STEP_TOLERANCE_S = 0.01  # that a step may be longer or shorter: 0.15 m at 15 m/s, the slack of the gate ``continuity``
-MAX_BRIDGED_GAP_S = 0.35  # between two states that are joined by a straight line; over a longer gap an object is unseen
+STEP_TOLERANCE_S = 0.01  # maximum deviation of a step: 0.15 m at 15 m/s, the tolerance of the gate ``continuity``
+# Two states at most this far apart are joined by a straight line; over a longer gap, an object is unseen.
+MAX_BRIDGED_GAP_S = 0.35
 
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """A lane of the same direction beside this one, over index ranges (inclusive) of both lanes' points."""
+    """A lane of the same direction beside a lane, over inclusive index ranges of both lanes' points.
+
+    Attributes:
+        lane: The id of the neighbouring lane.
+        own_start: The first index on the lane itself.
+        own_end: The last index on the lane itself.
+        other_start: The first index on the neighbouring lane.
+        other_end: The last index on the neighbouring lane.
+    """
 
     lane: int
     own_start: int
@@ -47,7 +56,19 @@ class Neighbour:
 
 @dataclass(frozen=True, slots=True)
 class LaneFeature:
-    """A lane's centre line. points ``(n, 3)`` m; speed_limit m/s, 0 = not given; kind: index of ``LANE_TYPES``."""
+    """A lane.
+
+    Attributes:
+        id: The id of the lane.
+        points: Its centre line, ``(n, 3)`` [m].
+        kind: Its type, an index of ``LANE_TYPES``.
+        speed_limit: Its speed limit [m/s]; 0 if not given.
+        interpolating: Whether the dataset interpolated it, as in a junction.
+        entries: The ids of the lanes before.
+        exits: The ids of the lanes after.
+        left: Its neighbours on the left.
+        right: Its neighbours on the right.
+    """
 
     id: int
     points: Floats
@@ -62,7 +83,12 @@ class LaneFeature:
 
 @dataclass(frozen=True, slots=True)
 class LineFeature:
-    """A painted line (``edge`` False) or a road edge (True). points ``(n, 3)`` m."""
+    """A painted line or a road edge.
+
+    Attributes:
+        edge: Whether it is a road edge.
+        points: The line, ``(n, 3)`` [m].
+    """
 
     edge: bool
     points: Floats
@@ -70,7 +96,12 @@ class LineFeature:
 
 @dataclass(frozen=True, slots=True)
 class StopSign:
-    """The lanes that a stop sign rules, and where it stands ``(3,)`` m."""
+    """A stop sign.
+
+    Attributes:
+        lanes: The ids of the lanes that it rules.
+        position: Its place, ``(3,)`` [m].
+    """
 
     lanes: tuple[int, ...]
     position: Floats
@@ -78,7 +109,13 @@ class StopSign:
 
 @dataclass(frozen=True, slots=True)
 class AreaFeature:
-    """A polygon on the ground: kind crosswalk | speed_bump | driveway; points ``(n, 3)`` m."""
+    """A polygon on the ground.
+
+    Attributes:
+        id: The id of the area.
+        kind: crosswalk, speed_bump or driveway.
+        points: The polygon, ``(n, 3)`` [m].
+    """
 
     id: int
     kind: str
@@ -87,7 +124,13 @@ class AreaFeature:
 
 @dataclass(frozen=True, slots=True)
 class SignalState:
-    """A lane's signal at one step; state: index of ``SIGNAL_STATES``; stop: its stop point ``(3,)`` m, if given."""
+    """A lane's signal at one step.
+
+    Attributes:
+        lane: The id of the lane.
+        state: The state, an index of ``SIGNAL_STATES``.
+        stop: The stop point, ``(3,)`` [m]; None if not given.
+    """
 
     lane: int
     state: int
@@ -96,9 +139,21 @@ class SignalState:
 
 @dataclass(frozen=True, slots=True)
 class ObjectTrack:
-    """One object over all steps, arrays ``(n,)``; where ``valid`` is False the rest means nothing.
+    """One object over all steps.
 
-    kind: index of ``TRACK_KINDS``; x, y m (box centre); length, width m; heading rad; vx, vy m/s.
+    Arrays have shape ``(n,)``. Where ``valid`` is False, the other values mean nothing.
+
+    Attributes:
+        id: The id of the object.
+        kind: Its kind, an index of ``TRACK_KINDS``.
+        valid: Whether its state is known.
+        x: x of the box centre [m].
+        y: y of the box centre [m].
+        length: Length [m].
+        width: Width [m].
+        heading: Heading [rad].
+        vx: Velocity along x [m/s].
+        vy: Velocity along y [m/s].
     """
 
     id: int
@@ -115,9 +170,24 @@ class ObjectTrack:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One scenario. time ``(n,)`` s; ``current``: index of the step up to which it is history; ``sdc``: index of the
-    ego among ``tracks``; ``signals``: for each step the states of all signal lanes; ``content``: SHA-256 of the bytes
-    it was read from, in hex; ``notes``: sentences on what of the file it lacks."""
+    """One scenario.
+
+    Attributes:
+        scenario_id: The id of the scenario.
+        time: The time stamps, ``(n,)`` [s].
+        current: The index of the current step; steps up to it are history.
+        sdc: The index of the ego in ``tracks``.
+        tracks: The tracks.
+        objects_of_interest: The ids of objects of interest.
+        to_predict: The indices of the tracks to predict.
+        lanes: The lanes by id.
+        lines: The painted lines and road edges by id.
+        stop_signs: The stop signs.
+        areas: The polygons on the ground.
+        signals: For each step, the states of all signal lanes.
+        content: The SHA-256 of the bytes that it was read from, in hex.
+        notes: Sentences on what of the file is left out.
+    """
 
     scenario_id: str
     time: Floats
@@ -136,9 +206,14 @@ class Record:
 
 
 def check_record(record: Record, where: str) -> None:
-    """Refuse a record that spans more than any does, or whose motion cannot be right. ``where`` names it.
+    """Refuse a record that spans too much, or whose motion is impossible.
 
-    Raises UsageError.
+    Args:
+        record: The record.
+        where: Names the record in errors.
+
+    Raises:
+        UsageError: The record is refused.
     """
     _check_bounds(record, where)
     if fault := find_fault([_motion(t, record.time) for t in record.tracks if t.valid.any()], noisy=True):
@@ -147,6 +222,7 @@ def check_record(record: Record, where: str) -> None:
 
 
 def _motion(t: ObjectTrack, time: Floats) -> GivenMotion:
+    """Return the valid states of a track for the consistency check."""
     v = t.valid
     kind = TRACK_KINDS[t.kind] if 1 <= t.kind < len(TRACK_KINDS) else "other"
     length, width = (float(np.median(values[v])) for values in (t.length, t.width))
@@ -155,10 +231,13 @@ def _motion(t: ObjectTrack, time: Floats) -> GivenMotion:
 
 
 def _check_bounds(record: Record, where: str) -> None:
-    """Refuse a record that spans more than any does. ``where`` names it. Raises UsageError.
+    """Refuse a record that spans more than any real one; ``where`` names it.
 
-    One wrong coordinate or time stamp would cost gigabytes: roads are filled in metre by metre, and records are
+    One wrong coordinate or time stamp would cost gigabytes, because roads are filled in metre by metre, and records are
     resampled step by step.
+
+    Raises:
+        UsageError: The record is refused.
     """
     span = float(record.time[-1] - record.time[0])
     if span > MAX_RECORD_DURATION_S:
@@ -181,6 +260,7 @@ def _check_bounds(record: Record, where: str) -> None:
 
 
 def _check_places(places: Floats, kind: str, where: str) -> None:
+    """Refuse places too far from the origin or from each other."""
     if not len(places):
         return
     far = float(np.abs(places).max())
@@ -193,8 +273,14 @@ def _check_places(places: Floats, kind: str, where: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """How a record was sampled. step: median time between its steps [s]; worst: how far a time stamp is off an even
-    10 Hz [s]; jitter: how far the time between two steps is off 0.1 s [s]; resampled: whether it was resampled."""
+    """How a record was sampled.
+
+    Attributes:
+        step: The median time between its steps [s].
+        worst: The largest distance of a time stamp from an even 10 Hz grid [s].
+        jitter: The largest difference of the time between two steps from 0.1 s [s].
+        resampled: Whether it was resampled.
+    """
 
     step: float
     worst: float
@@ -203,7 +289,7 @@ class Sampling:
 
     @property
     def sentence(self) -> str:
-        """For the user; empty if the record is taken as it is."""
+        """A sentence for the user; empty if the record was not resampled."""
         if not self.resampled:
             return ""
         return (
@@ -213,10 +299,14 @@ class Sampling:
 
 
 def evenly_sampled(record: Record) -> tuple[Record, Sampling]:
-    """The record on the grid ``time[0] + 0.1 k`` s, itself if it is on that already.
+    """Return a record on the grid ``time[0] + 0.1 k`` [s].
 
-    Positions, speeds and sizes are linear between states, headings go the shorter way. An object is valid where the
-    states on both sides are. Signals keep the last state. The current step is the nearest to that of the record.
+    Positions, speeds and sizes are interpolated linearly, and headings turn the shorter way. An object is valid if the
+    states on both sides are valid and not too far apart in time. Signals keep the last state. The current step is the
+    one nearest to that of the record.
+
+    Returns:
+        The record, unchanged if it is already on the grid, and how it was sampled.
     """
     time = record.time - record.time[0]
     steps = np.diff(time) if len(time) > 1 else np.array([RECORD_STEP_S])
@@ -239,6 +329,7 @@ def evenly_sampled(record: Record) -> tuple[Record, Sampling]:
 
 
 def _track(track: ObjectTrack, low: Ints, high: Ints, share: Floats, bridged: Bools) -> ObjectTrack:
+    """Return a track interpolated between its states ``low`` and ``high``."""
     linear: dict[str, Any] = {}
     for name in ("x", "y", "length", "width", "vx", "vy"):
         before, after = getattr(track, name)[low], getattr(track, name)[high]

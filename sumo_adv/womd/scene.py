@@ -1,7 +1,7 @@
-"""From a record and its network to a scenario that ``run`` takes: tracks, routes, parked vehicles, crosswalks.
+"""Write a scenario that ``run`` accepts from a record and its network: tracks, routes, parked vehicles, crosswalks.
 
-The clock begins with the record's first step, 0.1 s a step; coordinates are the record's own. The ego is the vehicle
-that recorded (``sdc``), under its own track id, and its warm-up ends at the record's current step.
+The clock begins with the record's first step, and a step takes 0.1 s. Coordinates are the record's own. The ego is the
+vehicle that recorded (``sdc``), under its own track id. Its warm-up ends at the record's current step.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from sumo_adv.womd.lines import LineSegments
 from sumo_adv.womd.matching import LaneLink, MatchedStretch, SumoNet
 from sumo_adv.womd.record import RECORD_STEP_S, TRACK_KINDS, VEHICLE, ObjectTrack, Record
 
-WOMD_ROUTE_EXTENSION_M = 300.0  # that a route leads on beyond the log, if no edge ends before
-_STRAIGHTEST = "slrLRt"  # SUMO's letters of direction, the preferred first
-MAX_PARKED_MOTION_M = 1.0  # that a parked vehicle may seem to move
-MAX_QUEUE_OFFSET_M = 1.5  # from a lane's centre line within which a standing vehicle queues rather than parks
-MAX_QUEUE_ANGLE_RAD = 0.52  # between it and the lane
+WOMD_ROUTE_EXTENSION_M = 300.0  # by which a route is extended beyond the log, if the network allows
+_STRAIGHTEST = "slrLRt"  # SUMO's letters of direction, in order of preference
+MAX_PARKED_MOTION_M = 1.0  # maximum apparent motion of a parked vehicle
+MAX_QUEUE_OFFSET_M = 1.5  # a standing vehicle this near to a lane's centre line queues rather than parks
+MAX_QUEUE_ANGLE_RAD = 0.52  # maximum angle between a queuing vehicle and the lane
 CROSSWALKS = "crosswalks.add.xml"
 
 
@@ -32,9 +32,10 @@ class Router:
     """Makes routes on one network."""
 
     def __init__(self, net: SumoNet) -> None:
+        """Index the connections for cars."""
         self._net = net
         self._from: dict[str, list[LaneLink]] = {}  # edge -> links of cars that leave it
-        self._through: dict[str, LaneLink] = {}  # internal lane -> the link it is a part of
+        self._through: dict[str, LaneLink] = {}  # internal lane -> its link
         for link in net.links:
             if net.lanes[link.start].cars and net.lanes[link.end].cars:
                 self._from.setdefault(net.lanes[link.start].edge, []).append(link)
@@ -42,10 +43,18 @@ class Router:
                     self._through[lane] = link
 
     def route(self, stretches: Sequence[MatchedStretch], step: int) -> tuple[str, ...]:
-        """Edges of the stretch that a vehicle is on at a step or next, led on; empty where it is on none.
+        """Return the route of a vehicle.
 
-        Begins with the edge of the stretch's first lane (if that is inside a junction, with the edge before it) and
-        ends with an edge that nothing follows, or ``WOMD_ROUTE_EXTENSION_M`` further on.
+        The route begins with the edge of the stretch's first lane or, if that lane is inside a junction, with the edge
+        before it. It ends with an edge that nothing follows, or once it is ``WOMD_ROUTE_EXTENSION_M`` longer than the
+        stretch. If the stretch's edges are not connected, only the connected part with the vehicle's edge is used.
+
+        Args:
+            stretches: The matched stretches of the vehicle's track.
+            step: The time step. The stretch at this step or the next one after it is used, otherwise the last one.
+
+        Returns:
+            The edge ids; empty if there are no stretches.
         """
         chosen = next((s for s in stretches if s.steps[-1] >= step), stretches[-1] if stretches else None)
         if chosen is None:
@@ -54,7 +63,7 @@ class Router:
         current = next(
             lane for at, lane in zip(chosen.steps, chosen.lanes, strict=True) if at >= min(step, chosen.steps[-1])
         )
-        link = self._through.get(current)  # of an internal lane the edge before it counts
+        link = self._through.get(current)  # for an internal lane, the edge before it counts
         edge = self._net.lanes[current if link is None else link.start].edge
         for part in before:
             if edge in part:
@@ -62,11 +71,11 @@ class Router:
         return tuple(last + self._on(last, chosen.driven[-1]))
 
     def unbroken(self, stretches: Sequence[MatchedStretch]) -> bool:
-        """Whether a track is one stretch (or none) with edges that follow one another."""
+        """Return whether a track is at most one stretch, with edges that follow one another."""
         return len(stretches) <= 1 and all(len(self._parts(self.edges(s))) == 1 for s in stretches)
 
     def _parts(self, edges: list[str]) -> list[list[str]]:
-        """The edges, parted where none leads to the next."""
+        """Split the edges where none leads to the next."""
         parts = [edges[:1]]
         for before, after in pairwise(edges):
             if any(self._net.lanes[link.end].edge == after for link in self._from.get(before, ())):
@@ -76,7 +85,10 @@ class Router:
         return parts
 
     def edges(self, stretch: MatchedStretch) -> list[str]:
-        """Normal edges of a stretch, with those at its ends that internal lanes lead from and to."""
+        """Return the edges of a stretch outside junctions.
+
+        They include the edges from which its first, and to which its last internal lane leads.
+        """
         edges: list[str] = []
         pending: LaneLink | None = None
         for lane in stretch.driven:
@@ -91,7 +103,7 @@ class Router:
         return [edge for edge, _ in groupby(edges)]
 
     def _on(self, edges: Sequence[str], lane: str) -> list[str]:
-        """The edges after the last one: where the lane leads, straight on if there is a choice."""
+        """Return edges that extend the last one: where the lane leads, and straight on if there is a choice."""
         added: list[str] = []
         length = 0.0
         last = edges[-1] if edges else ""
@@ -107,9 +119,16 @@ class Router:
 
 
 def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[MatchedStretch]], folder: Path) -> None:
-    """Scenario, tracks, routes and crosswalks into ``folder``, beside the network there.
+    """Write the scenario, tracks, routes and crosswalks beside the network.
 
-    The record's steps are 0.1 s apart (``evenly_sampled``). Raises UsageError if its ego is never seen.
+    Args:
+        record: The record, with steps 0.1 s apart (``evenly_sampled``).
+        net: The network.
+        matched: The matched stretches of each track by its id.
+        folder: The folder of the network.
+
+    Raises:
+        UsageError: The ego is never seen.
     """
     ego = record.tracks[record.sdc]
     if not ego.valid.any():
@@ -130,7 +149,7 @@ def _write_xml(path: Path, tag: str, lines: Iterable[str]) -> None:
 
 
 def parked_vehicles(record: Record, net: SumoNet) -> list[ObjectTrack]:
-    """Vehicles that never move and stand on no lane, the ego never among them."""
+    """Return the vehicles that never move and stand on no lane, without the ego."""
     standing = [
         t for i, t in enumerate(record.tracks)
         if i != record.sdc and t.kind == VEHICLE and t.valid.any() and _stands(t)
@@ -145,12 +164,13 @@ def parked_vehicles(record: Record, net: SumoNet) -> list[ObjectTrack]:
 
 
 def _stands(track: ObjectTrack) -> bool:
+    """Return whether an object never moves."""
     x, y = track.x[track.valid], track.y[track.valid]
     return float(np.hypot(x - x[0], y - y[0]).max()) <= MAX_PARKED_MOTION_M
 
 
 def _pose(track: ObjectTrack) -> tuple[float, float, float, float, float]:
-    """A standing object's x, y [m], heading [rad], length, width [m]: medians over what was seen."""
+    """Return a standing object's x, y [m], heading [rad], length and width [m]: medians over its valid states."""
     keep = track.valid
     heading = track.heading[keep]
     mean = np.arctan2(np.median(np.sin(heading)), np.median(np.cos(heading)))
@@ -159,6 +179,7 @@ def _pose(track: ObjectTrack) -> tuple[float, float, float, float, float]:
 
 
 def _logged(track: ObjectTrack) -> LoggedTrack:
+    """Return a track of the record as a track of the log."""
     kind = TRACK_KINDS[track.kind] if 0 <= track.kind < len(TRACK_KINDS) else ""
     *_, length, width = _pose(track)
     return LoggedTrack(
@@ -170,14 +191,14 @@ def _logged(track: ObjectTrack) -> LoggedTrack:
 def _routes(
     record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, Sequence[MatchedStretch]]
 ) -> Iterator[str]:
-    """The routes of vehicles that are on the network when they are handed over or later, under their track ids."""
+    """Yield the routes of vehicles that are on the network at the hand-over or later, under their track ids."""
     for track in tracks:
         if edges := router.route(matched.get(track.id, ()), record.current):
             yield f'    <route id="{track.id}" edges="{" ".join(edges)}"/>\n'
 
 
 def _crosswalks(record: Record) -> Iterator[str]:
-    """The crosswalks as filled polygons over the road, for sumo-gui; they rule no vehicle's way."""
+    """Yield the crosswalks as filled polygons over the road, for sumo-gui; they do not affect any vehicle."""
     for area in record.areas:
         if area.kind == "crosswalk" and len(area.points) > 2:
             shape = " ".join(f"{x:.3f},{y:.3f}" for x, y in area.points[:, :2].tolist())
@@ -188,6 +209,7 @@ def _crosswalks(record: Record) -> Iterator[str]:
 
 
 def _scenario(record: Record, ego: ObjectTrack, parked: Sequence[ObjectTrack]) -> str:
+    """Return the text of the scenario file."""
     first = int(np.flatnonzero(ego.valid)[0])
     predicted = ", ".join(str(record.tracks[i].id) for i in record.to_predict) or "none"
     interest = ", ".join(map(str, record.objects_of_interest)) or "none"

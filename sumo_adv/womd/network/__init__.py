@@ -1,4 +1,4 @@
-"""From a Waymo record to a SUMO network."""
+"""Convert the map of a Waymo record to a SUMO network."""
 
 from __future__ import annotations
 
@@ -24,12 +24,19 @@ from sumo_adv.womd.network.signals import SignalPlan, plan_signals, ruling_lanes
 from sumo_adv.womd.network.strands import Kept, KeptLane, LaneRun, keep_lanes
 from sumo_adv.womd.record import Record
 
-MIN_REPORTED_PART_M = 0.01  # shorter parts are not told
+MIN_REPORTED_PART_M = 0.01  # shorter parts are not reported
 
 
 @dataclass(frozen=True, slots=True)
 class LanePiece:
-    """The part of a WOMD lane from station ``start`` to ``end`` [m] lies on ``sumo_lane``; internal: in a junction."""
+    """A part of a WOMD lane in the SUMO network.
+
+    Attributes:
+        sumo_lane: The id of the SUMO lane.
+        start: The station on the WOMD lane at which the part begins [m].
+        end: The station at which it ends [m].
+        internal: Whether the SUMO lane lies in a junction.
+    """
 
     sumo_lane: str
     start: float
@@ -39,8 +46,14 @@ class LanePiece:
 
 @dataclass(frozen=True, slots=True)
 class ConvertedNetwork:
-    """A record's network. path: the net.xml; pieces: WOMD lane id -> where it lies in the network, in order along it;
-    report: what was kept, dropped and assumed; seconds: how long it took."""
+    """The network of a record.
+
+    Attributes:
+        path: The net.xml.
+        pieces: The pieces of each WOMD lane by its id, in order along the lane.
+        report: What was kept, dropped and assumed.
+        seconds: How long the conversion took [s].
+    """
 
     path: Path
     pieces: Mapping[int, tuple[LanePiece, ...]]
@@ -49,10 +62,17 @@ class ConvertedNetwork:
 
 
 def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
-    """Write ``folder/network.net.xml`` (and nothing else there) from the record's map.
+    """Write ``folder/network.net.xml`` from a record's map. No other file is written there.
+
+    Args:
+        record: The record.
+        folder: Where the network is written.
+
+    Returns:
+        The network.
 
     Raises:
-        UsageError: the record has no lane to make a road of; netconvert is missing or fails.
+        UsageError: The record has no lane from which a road can be made; netconvert is missing or fails.
     """
     began = time.perf_counter()
     program = find_netconvert()
@@ -87,7 +107,7 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
 def _report(
     kept: Kept, layout: Layout, roads: RoadNetwork, order: LinkPriorities, signals: SignalPlan
 ) -> dict[str, Any]:
-    """What was kept, dropped and assumed, as JSON. Lengths in m."""
+    """Return what was kept, dropped and assumed, for JSON; lengths in m."""
     total = sum(lane.length for lane in kept.lanes.values())
     inside = sum(b - a for strand_spans in layout.spans.of for a, b in strand_spans)
     kinds = ["traffic_light" if name in signals.programs else kind for name, kind in order.kind.items()]
@@ -108,8 +128,10 @@ def _report(
 def _find_pieces(
     lanes: dict[int, KeptLane], layout: Layout, roads: RoadNetwork, via: list[str]
 ) -> dict[int, tuple[LanePiece, ...]]:
-    """The pieces of every kept lane. Where several links of a junction run over a lane there is a piece for each, the
-    straightest first."""
+    """Return the pieces of every kept lane.
+
+    If several links of a junction run over a lane, there is a piece for each, the straightest first.
+    """
     inner: dict[Leg, list[tuple[float, str]]] = {}
     for link, internal_lane in zip(roads.links, via, strict=True):
         for leg in link.legs:
@@ -132,7 +154,12 @@ def _find_pieces(
 
 
 def _on(run: LaneRun, parts: list[tuple[float, float, float, str, bool]]) -> Iterator[LanePiece]:
-    """The pieces of one run of a lane; parts: (start, end, turn, SUMO lane, internal) of its strand in order."""
+    """Yield the pieces of one run of a lane.
+
+    Args:
+        run: The run.
+        parts: The parts of its strand in order: start, end, turn, SUMO lane, internal.
+    """
     scale = (run.lane_end - run.lane_start) / max(run.end - run.start, 1e-9)
     for a, b, _, name, internal in parts:
         start, end = max(a, run.start), min(b, run.end)

@@ -1,8 +1,8 @@
-"""Which spans of each strand lie inside junctions; what is between them becomes edges.
+"""Find which spans of each strand lie inside junctions. What lies between spans becomes edges.
 
-Spans begin as conflicts (where vehicles on two lanes would be in each other's way: crossings, and the overlap after a
-split or before a merge) and as lane ends. They then grow until lanes beside one another are cut at the same places and
-no scrap of edge is left between two spans.
+Spans begin as conflicts and as lane ends. A conflict is where vehicles on two lanes would be in each other's way: at a
+crossing, after a split or before a merge. Spans then grow until neighbouring lanes are cut at the same places, and no
+scrap of edge is left between two spans.
 """
 
 from __future__ import annotations
@@ -18,29 +18,36 @@ from sumo_adv.geometry import LAYER_HEIGHT_M, wrap
 from sumo_adv.womd.lines import at, headings
 from sumo_adv.womd.network.strands import KeptLane, Strand, Strands
 
-CONFLICT_SAMPLE_STEP_M = 1.0  # between samples
-MIN_PARALLEL_SPACING_M = 1.2  # lanes of one direction with nearer centres overlap
-MIN_CROSSING_SPACING_M = 2.6  # the same for lanes at a right angle
-# lanes that head against each other share their ground (left-turn lanes of both sides)
+CONFLICT_SAMPLE_STEP_M = 1.0  # distance between samples
+MIN_PARALLEL_SPACING_M = 1.2  # lanes in one direction whose centres are nearer overlap
+MIN_CROSSING_SPACING_M = 2.6  # the same at a right angle
+# Lanes in opposite directions may share their ground (left-turn lanes of both sides), which is no conflict.
 MIN_OPPOSITE_ANGLE_RAD = np.deg2rad(150.0)
-JOINT_RADIUS_M = 8.0  # around the joint of a lane and its exit where they are near by nature
-MIN_ROW_LENGTH_M = 5.0  # lanes beside one another for less are not a row
-HALF_CUT_LENGTH_M = 0.1  # half of the span where one edge is cut in two
-CUT_SNAP_DISTANCE_M = 6.0  # a cut this near to another is the same
-SPAN_TOLERANCE_M = 1.5  # by which spans of lanes beside one another may differ
-MIN_EDGE_LENGTH_M = 6.0  # shorter stretches between two spans join them
-MIN_TURNING_EDGE_LENGTH_M = 25.0  # the same on lanes that turn in a junction
-STOP_LINE_REACH_M = 15.0  # that a span reaches back to the line where a signal or stop sign holds
-STUB_LENGTH_M = 0.5  # of edge kept where a strand begins or ends in a conflict and nothing leads there
+JOINT_RADIUS_M = 8.0  # around the joint of a lane and its exit, where both are always near
+MIN_ROW_LENGTH_M = 5.0  # lanes beside each other for a shorter length are not a row
+HALF_CUT_LENGTH_M = 0.1  # half the length of a span that cuts one edge in two
+CUT_SNAP_DISTANCE_M = 6.0  # two cuts this near to each other count as one
+SPAN_TOLERANCE_M = 1.5  # by which spans of neighbouring lanes may differ
+MIN_EDGE_LENGTH_M = 6.0  # shorter stretches between two spans become part of the junction
+MIN_TURNING_EDGE_LENGTH_M = 25.0  # the same for lanes that turn in a junction
+STOP_LINE_REACH_M = 15.0  # a span at most this far after a stop line is extended back to that line
+STUB_LENGTH_M = 0.5  # length of edge that is kept if a strand begins or ends in a conflict without a connection
 MAX_CUTTING_ROUNDS = 12
 
 Span = tuple[float, float]
-_Range = tuple[float, float, float, float]  # from and to on one strand, from and to on the other [m]
+_Range = tuple[float, float, float, float]  # start and end on one strand, start and end on the other [m]
 
 
 @dataclass(frozen=True, slots=True)
 class Conflicts:
-    """Pairs of near samples, arrays ``(n,)``: strand a at station sa [m] is near strand b at sb; each pair once."""
+    """Pairs of near samples on different strands, each pair once. All arrays have shape ``(n,)``.
+
+    Attributes:
+        a: The first strand.
+        sa: The station on the first strand [m].
+        b: The second strand.
+        sb: The station on the second strand [m].
+    """
 
     a: Ints
     sa: Floats
@@ -49,7 +56,7 @@ class Conflicts:
 
 
 def find_conflicts(strands: tuple[Strand, ...]) -> Conflicts:
-    """All conflicts between strands that motor vehicles use."""
+    """Return all conflicts between strands that motor vehicles use."""
     owners, stations = [np.empty(0, np.intp)], [np.empty(0)]
     places, directions = [np.empty((0, 3))], [np.empty(0)]
     for strand in strands:
@@ -77,7 +84,7 @@ def find_conflicts(strands: tuple[Strand, ...]) -> Conflicts:
 
 
 def _at_joint(strands: tuple[Strand, ...], owner: Ints, station: Floats, i: Ints, j: Ints) -> Bools:
-    """Whether strand of ``j`` is an exit of that of ``i`` and both samples lie near where they meet."""
+    """Return whether the strand of ``j`` is an exit of the strand of ``i`` and both samples lie near their joint."""
     linked = np.zeros((len(strands), len(strands)), dtype=bool)
     for strand in strands:
         linked[strand.number, list(strand.exits)] = True
@@ -87,8 +94,14 @@ def _at_joint(strands: tuple[Strand, ...], owner: Ints, station: Floats, i: Ints
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """Strand ``left`` runs at the left of ``right`` from station right_at[0] to right_at[-1] [m]; left_at: the same
-    places on ``left``. Both ``(n,)``, rising."""
+    """Two strands that run beside each other. The arrays have shape ``(n,)`` and ascend.
+
+    Attributes:
+        right: The strand on the right.
+        left: The strand on the left.
+        right_at: Stations on the right strand, from the beginning to the end of the common part [m].
+        left_at: The stations of the same places on the left strand [m].
+    """
 
     right: int
     left: int
@@ -97,7 +110,15 @@ class Beside:
 
 
 def find_beside(lanes: dict[int, KeptLane], strands: Strands) -> list[Beside]:
-    """All pairs of strands beside one another, from the neighbours of their lanes."""
+    """Return all pairs of strands beside each other, which follow from the neighbours of their lanes.
+
+    Args:
+        lanes: The lanes by id.
+        strands: The strands of these lanes.
+
+    Returns:
+        The pairs.
+    """
     ranges: dict[tuple[int, int], list[_Range]] = {}
     for number, lane in lanes.items():
         for neighbours, is_left in ((lane.feature.left, True), (lane.feature.right, False)):
@@ -117,7 +138,7 @@ def find_beside(lanes: dict[int, KeptLane], strands: Strands) -> list[Beside]:
 def _pieces(
     strands: Strands, lane: int, own: Floats, neighbour: int, there: Floats
 ) -> Iterator[tuple[int, int, _Range]]:
-    """A range of a lane beside a range of another, as ranges of their strands (which may change on the way)."""
+    """Yield a range of a lane beside a range of another as ranges of their strands, which may change on the way."""
     for a, run in strands.of_lane[lane]:
         for b, across in strands.of_lane[neighbour]:
             if a == b:
@@ -134,12 +155,13 @@ def _pieces(
 
 
 def _stations(lane: KeptLane, start: int, end: int) -> Floats:
+    """Return the stations of a range of a lane's points [m]."""
     last = len(lane.index) - 1
     return lane.index[[min(max(start, 0), last), min(max(end, 0), last)]]
 
 
 def _besides_of(key: tuple[int, int], rows: list[_Range]) -> Iterator[Beside]:
-    """Ranges that touch or overlap put together."""
+    """Merge ranges that touch or overlap."""
     run: list[_Range] = []
     for row in sorted(rows):
         if run and (
@@ -147,7 +169,7 @@ def _besides_of(key: tuple[int, int], rows: list[_Range]) -> Iterator[Beside]:
         ):
             yield from _beside(key, run)
             run = []
-        if run and row[0] < run[-1][1] - 0.1:  # the same range, told by the other lane
+        if run and row[0] < run[-1][1] - 0.1:  # the same range, given by the other lane
             if row[1] > run[-1][1] + 0.1 and row[3] > run[-1][3] + 0.1:
                 run[-1] = (run[-1][0], row[1], run[-1][2], row[3])
             continue
@@ -156,6 +178,7 @@ def _besides_of(key: tuple[int, int], rows: list[_Range]) -> Iterator[Beside]:
 
 
 def _beside(key: tuple[int, int], run: list[_Range]) -> Iterator[Beside]:
+    """Yield the merged ranges as one pair, if it is long enough."""
     if run and run[-1][1] - run[0][0] >= MIN_ROW_LENGTH_M and run[-1][3] - run[0][2] >= MIN_ROW_LENGTH_M:
         right = np.maximum.accumulate([v for row in run for v in row[:2]])
         left = np.maximum.accumulate([v for row in run for v in row[2:]])
@@ -163,9 +186,16 @@ def _beside(key: tuple[int, int], run: list[_Range]) -> Iterator[Beside]:
 
 
 class Spans:
-    """Spans inside junctions: for each strand disjoint (start, end) [m] in order. ``add`` changes them."""
+    """The spans inside junctions. ``add`` changes them.
+
+    Attributes:
+        strands: The strands.
+        of: For each strand, disjoint (start, end) [m], in order.
+        bounds: For each strand, the stations between which spans may lie [m].
+    """
 
     def __init__(self, strands: tuple[Strand, ...]) -> None:
+        """Start without spans."""
         self.strands = strands
         self.of: list[list[Span]] = [[] for _ in strands]
         stubs = [min(STUB_LENGTH_M, strand.length / 3) for strand in strands]
@@ -175,7 +205,16 @@ class Spans:
         ]
 
     def add(self, strand: int, start: float, end: float) -> bool:
-        """Make [start, end] a span, as far as the strand's stubs allow; whether that changed anything."""
+        """Add a span, as far as the strand's stubs allow, and merge it with the spans that it touches.
+
+        Args:
+            strand: The number of the strand.
+            start: The beginning of the span [m].
+            end: The end of the span [m].
+
+        Returns:
+            Whether the spans changed.
+        """
         low, high = self.bounds[strand]
         start, end = max(start, low), min(end, high)
         if end <= start:
@@ -190,19 +229,38 @@ class Spans:
         return self.of[strand] != before
 
     def covers(self, strand: int, start: float, end: float, slack: float) -> bool:
-        """Whether one span holds [start, end] but for ``slack`` metres at each end."""
+        """Return whether one span covers a range.
+
+        Args:
+            strand: The number of the strand.
+            start: The beginning of the range [m].
+            end: The end of the range [m].
+            slack: How much of each end may be uncovered [m].
+
+        Returns:
+            Whether it does. An empty range is covered.
+        """
         low, high = self.bounds[strand]
         start, end = max(start, low), min(end, high)
         return end <= start or any(a <= start + slack and b >= end - slack for a, b in self.of[strand])
 
     def stretches(self, strand: int) -> list[Span]:
-        """What lies outside the spans, in order."""
+        """Return what lies outside the spans of a strand, in order [m]."""
         edges = [0.0, *(v for span in self.of[strand] for v in span), self.strands[strand].length]
         return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1e-6]
 
 
 def first_spans(strands: Strands, conflicts: Conflicts, held: Collection[int]) -> Spans:
-    """Conflicts, ends of strands, and stop lines of the lanes ``held`` (by a signal or a stop sign)."""
+    """Return the spans of conflicts, strand ends and stop lines.
+
+    Args:
+        strands: The strands.
+        conflicts: The conflicts between them.
+        held: The lanes that begin at a signal or a stop sign.
+
+    Returns:
+        The spans.
+    """
     spans = Spans(strands.all)
     owner = np.concatenate([conflicts.a, conflicts.b])
     station = np.concatenate([conflicts.sa, conflicts.sb])
@@ -230,6 +288,7 @@ def first_spans(strands: Strands, conflicts: Conflicts, held: Collection[int]) -
 
 
 def _runs(stations: np.ndarray, gap: float) -> Iterable[Span]:
+    """Group sorted stations that are at most ``gap`` [m] apart."""
     if not len(stations):
         return []
     breaks = np.flatnonzero(np.diff(stations) > gap)
@@ -238,7 +297,14 @@ def _runs(stations: np.ndarray, gap: float) -> Iterable[Span]:
 
 
 def grow(spans: Spans, besides: list[Beside]) -> None:
-    """Carry spans across to the lanes beside and join what is too near, until nothing changes."""
+    """Carry spans to neighbouring lanes and join spans that are too near, until nothing changes.
+
+    At most ``MAX_CUTTING_ROUNDS`` rounds are made.
+
+    Args:
+        spans: The spans, which are changed.
+        besides: The pairs of strands beside each other.
+    """
     for _ in range(MAX_CUTTING_ROUNDS):
         changed = False
         for beside in besides:
@@ -251,7 +317,9 @@ def grow(spans: Spans, besides: list[Beside]) -> None:
 
 
 def _carry(spans: Spans, source: int, target: int, at: np.ndarray, there: np.ndarray) -> bool:
-    """Spans and cuts of ``source``, where the two are beside one another, to ``target``; and the ends of the range."""
+    """Carry spans and cuts of ``source`` to ``target`` where both run beside each other, and cut at the ends of that
+    range.
+    """
     changed = False
     length = spans.strands[target].length
     for end in (there[0], there[-1]):
@@ -273,7 +341,7 @@ def _carry(spans: Spans, source: int, target: int, at: np.ndarray, there: np.nda
 
 
 def _join(spans: Spans, strand: Strand) -> bool:
-    """Turn stretches too short for an edge into junction, except where a strand begins or ends for good."""
+    """Turn stretches that are too short for an edge into junction, except at a strand's end without a continuation."""
     least = MIN_TURNING_EDGE_LENGTH_M if strand.turning else MIN_EDGE_LENGTH_M
     changed = False
     for a, b in spans.stretches(strand.number):

@@ -1,5 +1,8 @@
-"""From roads to the network: plain XML (nodes, edges with a shape a lane, connections), netconvert, and what is then
-written into its output: exact shapes and lengths, right of way, signals, junction polygons, and the drivable area."""
+"""Write the network: plain XML for netconvert, and then the parts that netconvert does not know.
+
+The plain XML has nodes, edges with a shape for each lane, and connections. Afterwards, exact shapes and lengths, right
+of way, signals, junction polygons and the drivable area are written into netconvert's output.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from sumo_adv.womd.network.signals import Program
 
 BIKE_LANE_ATTRIBUTE = 'allow="bicycle"'
 CAR_LANE_ATTRIBUTE = 'disallow="pedestrian tram rail_urban rail rail_electric rail_fast ship"'
-MAX_LINE_POINTS = 6  # of a line that netconvert is told
+MAX_LINE_POINTS = 6  # maximum number of points of a line that netconvert receives
 _OCTAGON = [(0.2 * math.cos(k * math.pi / 4), 0.2 * math.sin(k * math.pi / 4)) for k in range(8)]
 RECORD_NETCONVERT_OPTIONS = (
     "--offset.disable-normalization", "--no-turnarounds", "--junctions.join", "false",
@@ -31,14 +34,19 @@ RECORD_NETCONVERT_OPTIONS = (
     "--geometry.max-angle", "-1", "--geometry.min-radius", "-1", "--no-warnings", "--xml-validation", "never",
 )  # fmt: skip
 RECORD_NETCONVERT_TIMEOUT_S = 120.0
-MIN_LANE_LENGTH_M = 0.1  # SUMO's shortest lane
+MIN_LANE_LENGTH_M = 0.1  # the shortest lane in SUMO
 
 
 def write_plain(roads: RoadNetwork, folder: Path) -> None:
     """Write ``plain.nod.xml``, ``plain.edg.xml`` and ``plain.con.xml``.
 
-    A junction gets an octagon of 0.2 m: with a shape of its own netconvert leaves the ends of the lanes alone. Shapes
-    are thinned out, which saves netconvert time: the exact ones are written into what it makes (``finish_network``).
+    A junction gets an octagon of 0.2 m, because netconvert does not change the ends of lanes at a junction that has its
+    own shape. Shapes are thinned out, which saves netconvert time. The exact shapes are written into its output
+    (``finish_network``).
+
+    Args:
+        roads: The network.
+        folder: Where the files are written.
     """
     nodes = ["<nodes>"]
     for name, (x, y) in roads.junctions.items():
@@ -70,18 +78,27 @@ def write_plain(roads: RoadNetwork, folder: Path) -> None:
 
 
 def coordinates(shape: Floats) -> str:
-    """A shape as SUMO writes it."""
+    """Return a shape as SUMO writes it."""
     return " ".join([f"{x:.3f},{y:.3f}" for x, y in shape[:, :2].tolist()])
 
 
 def _thin(shape: Floats) -> Floats:
-    """The ends and some of the points between."""
+    """Return the ends and some of the points between."""
     count = min(len(shape), MAX_LINE_POINTS)
     return shape[np.linspace(0, len(shape) - 1, count).round().astype(int)]
 
 
 def run_netconvert(program: Path, folder: Path, target: Path) -> None:
-    """From ``plain.*.xml`` in ``folder`` to ``target``. Raises UsageError with netconvert's last error."""
+    """Convert ``plain.*.xml`` to a network.
+
+    Args:
+        program: The program ``netconvert``.
+        folder: The folder of the plain files.
+        target: The network to write.
+
+    Raises:
+        UsageError: netconvert failed; the message contains its last error.
+    """
     command = [str(program), *RECORD_NETCONVERT_OPTIONS, "-o", str(target)]
     for option, kind in (("-n", "nod"), ("-e", "edg"), ("-x", "con")):
         command += [option, str(folder / f"plain.{kind}.xml")]
@@ -98,10 +115,22 @@ def run_netconvert(program: Path, folder: Path, target: Path) -> None:
 def finish_network(
     source: Path, target: Path, roads: RoadNetwork, order: LinkPriorities, programs: Mapping[str, Program], ground: Any
 ) -> list[str]:
-    """Write ``target`` from ``source``; returns the internal lane of each link. Raises UsageError if netconvert left
-    something out.
+    """Write the finished network from netconvert's output.
 
-    ground: the drivable area that the network is to carry (shapely polygons, m), or None."""
+    Args:
+        source: netconvert's output.
+        target: The network to write.
+        roads: The network with its exact shapes.
+        order: The right of way of its links.
+        programs: The signal programs by junction.
+        ground: The drivable area that the network carries (shapely polygons [m]); None for none.
+
+    Returns:
+        The internal lane of each link.
+
+    Raises:
+        UsageError: netconvert left something out.
+    """
     tree = ET.parse(source)
     net = tree.getroot()
     lanes = {lane.get("id", ""): lane for edge in net.iter("edge") for lane in edge}
@@ -128,7 +157,7 @@ def finish_network(
 
 
 def _shape(lane: ET.Element, way: RoadLane | JunctionLink, *, high: bool) -> None:
-    """Write the shape of a lane; ``high``: with its heights."""
+    """Write the shape of a lane, with its heights if ``high`` is set."""
     length = float(np.sum(np.hypot(*np.diff(way.shape, axis=0).T)))
     lane.set("shape", coordinates(way.shape))
     lane.set("length", f"{max(length, MIN_LANE_LENGTH_M):.3f}")
@@ -142,7 +171,7 @@ def _connections(
     net: ET.Element, lanes: dict[str, ET.Element], roads: RoadNetwork, order: LinkPriorities,
     programs: Mapping[str, Program], *, high: bool,
 ) -> list[str]:  # fmt: skip
-    """Set every connection's letters and its internal lane's shape; the internal lane of each link."""
+    """Write the letters of each connection and its internal lane's shape; return the internal lane of each link."""
     number = {(k.source, k.from_lane, k.target, k.to_lane): n for n, k in enumerate(roads.links)}
     via = [""] * len(roads.links)
     link_of_via: dict[str, int] = {}
@@ -179,6 +208,7 @@ def _connections(
 def _junctions(
     net: ET.Element, roads: RoadNetwork, order: LinkPriorities, programs: Mapping[str, Program], via: list[str]
 ) -> None:
+    """Write the polygons, the right of way and the signals of the junctions."""
     of_lane = {lane: n for n, lane in enumerate(via)}
     polygons = junction_polygons(roads)
     first = len(net)
@@ -205,11 +235,19 @@ def _junctions(
 
 
 def _bits(inside: list[int], chosen: frozenset[int]) -> str:
+    """Return SUMO's bits of the chosen links, the highest index first."""
     return "".join("1" if n in chosen else "0" for n in reversed(inside))
 
 
 def junction_polygons(roads: RoadNetwork) -> dict[str, Floats]:
-    """The ground that the links of each junction cover: outline ``(n, 2)`` [m]."""
+    """Return the ground that the links of each junction cover.
+
+    Args:
+        roads: The network.
+
+    Returns:
+        The outline ``(n, 2)`` [m] of each junction by its name.
+    """
     from shapely import LineString, MultiPolygon, union_all
 
     of_junction: dict[str, list[JunctionLink]] = {}

@@ -1,10 +1,10 @@
-"""The ground that vehicles may drive on, from the map's road edges and driveways.
+"""Find the ground that vehicles may drive on from the map's road edges and driveways.
 
 A road edge of the dataset has the road on its left: 99.8 % of the lane points of 58 records lie to the left of their
-nearest edge. So a place near a lane is road if it lies to the left of the nearest road edge. The dataset's own metrics
-tell on-road from off-road in this way (``compute_distance_to_road_edge`` of the Waymo Open Dataset). Lanes count as
-road as far as the next edge beside them, because edges are missing in places and an overpass has others. Driveways
-always count.
+nearest edge. A place near a lane is therefore road if it lies to the left of the nearest road edge. The dataset's own
+metrics distinguish on-road from off-road in this way (``compute_distance_to_road_edge`` of the Waymo Open Dataset).
+Lanes count as road as far as the next edge beside them, because edges are missing in places, and an overpass has other
+edges. Driveways always count.
 """
 
 from __future__ import annotations
@@ -18,22 +18,30 @@ from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.womd.network.roads import RoadNetwork
 from sumo_adv.womd.record import Record
 
-# from the middle of a lane: a lane, a bay of parked cars and a shoulder; beyond it nothing is claimed
+# From the middle of a lane: a lane, a bay of parked cars and a shoulder. Ground farther away does not count.
 MAX_ROAD_HALF_WIDTH_M = 10.0
-# from an edge within which it says something of a place: as far as the middle of a wide junction
+# An edge decides about places within this distance: as far as the middle of a wide junction.
 EDGE_RELEVANCE_DISTANCE_M = 30.0
-EDGE_MARGIN_M = 5.0  # further to which edges are taken, because the nearest edge decides about a place
-# by which an edge is thought to go on straight beyond its end, more than EDGE_RELEVANCE_DISTANCE_M
+EDGE_MARGIN_M = 5.0  # edges up to this far outside the area are used, because the nearest edge decides about a place
+# An edge is extended straight by this beyond its end; more than EDGE_RELEVANCE_DISTANCE_M.
 EDGE_EXTENSION_M = 45.0
-EDGE_POINT_SPACING_M = 1.0  # between the points of edges around which Voronoi cells are cut
-DRIVEWAY_MARGIN_M = 0.3  # by which a driveway is widened: its polygon ends a little before the road edge
-HALF_CRACK_WIDTH_M = 0.05  # half the width of cracks that are closed
-OUTLINE_TOLERANCE_M = 0.02  # that the outline may be off for the sake of fewer points
-MIN_CENTRE_LINE_PART_M = 0.01  # of a centre line that a part of its lane must hold
+EDGE_POINT_SPACING_M = 1.0  # between the points of edges that have Voronoi cells
+DRIVEWAY_MARGIN_M = 0.3  # by which a driveway is widened, because its polygon ends a little before the road edge
+HALF_CRACK_WIDTH_M = 0.05  # half the width of the cracks that are closed
+OUTLINE_TOLERANCE_M = 0.02  # error of the outline that is allowed to reduce its points
+MIN_CENTRE_LINE_PART_M = 0.01  # minimum length of its centre line that a part of a lane must contain
 
 
 def drivable_ground(record: Record, roads: RoadNetwork) -> Any:
-    """The drivable area [shapely polygons, m]; None if the record has no road edge or no lane for cars."""
+    """Return the drivable area of a record.
+
+    Args:
+        record: The record.
+        roads: Its network.
+
+    Returns:
+        Shapely polygons [m]; None if the record has no road edge or no lane for cars.
+    """
     from shapely import LineString, MultiPolygon, Polygon, make_valid, union_all
 
     edges = [line.points[:, :2] for line in record.lines.values() if line.edge and len(line.points) > 1]
@@ -56,7 +64,15 @@ def drivable_ground(record: Record, roads: RoadNetwork) -> Any:
 
 
 def left_of_edges(edges: Sequence[Floats], near: Any) -> Any:
-    """The part of the polygon ``near`` that lies to the left of the nearest of the edges ``(n, 2)`` [m]."""
+    """Return the part of a polygon that lies to the left of the nearest edge.
+
+    Args:
+        edges: The edges, each ``(n, 2)`` [m].
+        near: The shapely polygon [m].
+
+    Returns:
+        The part, a shapely geometry [m].
+    """
     import shapely
 
     lines = [shapely.LineString(edge) for edge in edges]
@@ -68,7 +84,9 @@ def left_of_edges(edges: Sequence[Floats], near: Any) -> Any:
     )
     owner, sites = _sites(close)
     cells = shapely.get_parts(shapely.voronoi_polygons(shapely.MultiPoint(sites), extend_to=near.envelope))
-    cells = np.where(shapely.is_valid(cells), cells, shapely.buffer(cells, 0.0))  # of evenly spaced points on a grid
+    cells = np.where(
+        shapely.is_valid(cells), cells, shapely.buffer(cells, 0.0)
+    )  # cells of evenly spaced points on a grid can be invalid
     site, cell = shapely.STRtree(cells).query(shapely.points(sites), predicate="intersects")
     whose = np.full(len(cells), -1)
     whose[cell] = owner[site]
@@ -83,8 +101,7 @@ def left_of_edges(edges: Sequence[Floats], near: Any) -> Any:
 
 
 def _sites(lines: Sequence[Any]) -> tuple[Any, Floats]:
-    """Distinct points every ``EDGE_POINT_SPACING_M`` along the lines ``(n, 2)``, and the number of the line of each
-    ``(n,)``."""
+    """Return the line of each site ``(n,)``, and the sites ``(n, 2)``: points every ``EDGE_POINT_SPACING_M``."""
     from shapely import get_coordinates, segmentize
 
     coordinates, owner = get_coordinates(segmentize(lines, EDGE_POINT_SPACING_M), return_index=True)
@@ -93,7 +110,7 @@ def _sites(lines: Sequence[Any]) -> tuple[Any, Floats]:
 
 
 def _extended(line: Any) -> Any:
-    """A line straight on over ``EDGE_EXTENSION_M`` from both ends of an open line: there the side changes as well."""
+    """Extend an open line by ``EDGE_EXTENSION_M`` straight on from both ends, where the side changes as well."""
     from shapely import MultiLineString
 
     c = np.asarray(line.coords)
@@ -105,9 +122,9 @@ def _extended(line: Any) -> Any:
 
 
 def _on_the_left(places: Any, segments: Floats, tree: Any) -> Bools:
-    """Whether each place lies to the left of its nearest segment ``(m, 2, 2)``.
+    """Return whether each place lies to the left of its nearest segment ``(m, 2, 2)``.
 
-    At a corner two segments are equally near. The segment that the place is further beside decides.
+    At a corner, two segments are equally near. The one from whose line the place is farther away decides.
     """
     from shapely import get_coordinates
 
@@ -115,14 +132,14 @@ def _on_the_left(places: Any, segments: Floats, tree: Any) -> Bools:
     a, along = segments[hit, 0], segments[hit, 1] - segments[hit, 0]
     to = get_coordinates(places)[place] - a
     beside = (along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]) / np.maximum(np.hypot(*along.T), 1e-9)
-    order = np.argsort(np.abs(beside), kind="stable")  # the furthest beside is written last
+    order = np.argsort(np.abs(beside), kind="stable")  # the farthest is written last
     left = np.zeros(len(places), bool)
     left[place[order]] = beside[order] > 0.0
     return left
 
 
 def _lane_ground(lanes: Sequence[tuple[Floats, float]], edges: Sequence[Floats]) -> list[Any]:
-    """Each lane's strip, without what lies beyond an edge as seen from its centre line."""
+    """Return each lane's strip, without what lies beyond an edge as seen from its centre line."""
     from shapely import LineString, STRtree, get_parts, intersection, length, polygonize, union_all
 
     centres = [LineString(shape) for shape, _ in lanes]

@@ -1,6 +1,8 @@
-"""The layout of a network, settled until no edge begins and ends in one junction: edges (stretches of strands that lie
-beside one another), junctions (what hangs together through spans, conflicts and ends of edges) and the ways through
-them."""
+"""Lay out a network, until no edge begins and ends in the same junction.
+
+Edges are stretches of strands beside each other. Junctions are what is connected through spans, conflicts and ends of
+edges. Ways lead through the junctions.
+"""
 
 from __future__ import annotations
 
@@ -27,18 +29,24 @@ from sumo_adv.womd.network.cutting import (
 )
 from sumo_adv.womd.network.strands import KeptLane, Strands, make_strands
 
-MIN_BESIDE_SHARE = 0.55  # of both stretches that must be beside one another
-MAX_RAGGED_ENDS_M = 9.0  # by which the ends of lanes of an edge may differ along the road
-MAX_LANE_SPACING_M = 7.0  # between centres of lanes beside one another
-MAX_WAYS = 200  # looked at from one stretch
-MAX_SPANS_PER_WAY = 12  # in one way
+MIN_BESIDE_SHARE = 0.55  # minimum share of both stretches that must be beside each other
+MAX_RAGGED_ENDS_M = 9.0  # by which the ends of an edge's lanes may differ along the road
+MAX_LANE_SPACING_M = 7.0  # between the centres of neighbouring lanes
+MAX_WAYS = 200  # maximum number of ways that are examined from one stretch
+MAX_SPANS_PER_WAY = 12  # maximum number of spans in one way
 MAX_LAYOUT_TRIES = 12
 Leg = tuple[int, int]  # strand, index of its span
 
 
 @dataclass(frozen=True, slots=True)
 class StrandStretch:
-    """A part of a strand that becomes one lane of an edge, from ``start`` to ``end`` [m]."""
+    """A part of a strand that becomes one lane of an edge.
+
+    Attributes:
+        strand: The number of the strand.
+        start: The station at which the part begins [m].
+        end: The station at which it ends [m].
+    """
 
     strand: int
     start: float
@@ -77,7 +85,7 @@ def _make_rows(spans: Spans, besides: list[Beside]) -> list[Row]:
 
 
 def _reaches(left_of: dict[StrandStretch, StrandStretch], start: StrandStretch, goal: StrandStretch) -> bool:
-    """Whether going left from ``start`` comes to ``goal``."""
+    """Return whether going left from ``start`` leads to ``goal``."""
     while start in left_of:
         start = left_of[start]
         if start == goal:
@@ -86,7 +94,7 @@ def _reaches(left_of: dict[StrandStretch, StrandStretch], start: StrandStretch, 
 
 
 def _share(spans: Spans, beside: Beside, right: StrandStretch, left: StrandStretch) -> float:
-    """How much of both is beside the other, 0 where their ends do not match."""
+    """Return the share of both stretches that is beside the other; 0 if their ends do not match."""
     start, end = max(right.start, beside.right_at[0]), min(right.end, beside.right_at[-1])
     if end <= start:
         return 0.0
@@ -109,7 +117,7 @@ def _share(spans: Spans, beside: Beside, right: StrandStretch, left: StrandStret
 
 
 def _join_up(spans: Spans, rows: list[Row], conflicts: Conflicts) -> list[int]:
-    """The number of the junction at the start (2 n) and at the end (2 n + 1) of each row."""
+    """Return the number of the junction at the start (2 n) and at the end (2 n + 1) of each row."""
     keys = [(s, k) for s, strand_spans in enumerate(spans.of) for k in range(len(strand_spans))]
     span_id = {key: 2 * len(rows) + n for n, key in enumerate(keys)}
     pairs: list[tuple[int, int]] = []
@@ -135,7 +143,7 @@ def _join_up(spans: Spans, rows: list[Row], conflicts: Conflicts) -> list[int]:
 
 
 def _spans_at(spans: Spans, span_id: dict[tuple[int, int], int], owner: Ints, station: Floats) -> Ints:
-    """The numbers of the spans that hold places on strands; -1 for none."""
+    """Return the numbers of the spans that contain places on strands; -1 for none."""
     span_ids = np.full(len(owner), -1)
     for s, row in enumerate(spans.of):
         on_strand = np.flatnonzero(owner == s)
@@ -149,7 +157,14 @@ def _spans_at(spans: Spans, span_id: dict[tuple[int, int], int], owner: Ints, st
 
 @dataclass(frozen=True, slots=True)
 class ConnectionPath:
-    """A connection: the stretches it joins and the spans between, with its length [m]."""
+    """A connection between two stretches.
+
+    Attributes:
+        source: The stretch that it leaves.
+        target: The stretch that it reaches.
+        legs: The spans between.
+        length: Its length [m].
+    """
 
     source: StrandStretch
     target: StrandStretch
@@ -158,7 +173,7 @@ class ConnectionPath:
 
 
 def _find_ways(spans: Spans) -> list[ConnectionPath]:
-    """The shortest way for each pair of stretches."""
+    """Return the shortest way for each pair of stretches."""
     starts = {(s.number, a): StrandStretch(s.number, a, b) for s in spans.strands for a, b in spans.stretches(s.number)}
     kept: dict[tuple[StrandStretch, StrandStretch], ConnectionPath] = {}
     for stretch in starts.values():
@@ -172,7 +187,7 @@ def _find_ways(spans: Spans) -> list[ConnectionPath]:
 def _from(
     spans: Spans, source: StrandStretch, starts: dict[tuple[int, float], StrandStretch]
 ) -> Iterator[ConnectionPath]:
-    """All ways from the end of ``source``, depth first."""
+    """Yield the ways from the end of ``source``, depth first."""
     stack: list[tuple[int, float, tuple[Leg, ...], float]] = [(source.strand, source.end, (), 0.0)]
     count = 0
     while stack and count < MAX_WAYS:
@@ -192,8 +207,15 @@ def _from(
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Everything about a network but right of way: strands, spans inside junctions, edges (rows), the numbers of the
-    junctions at the start (2 n) and end (2 n + 1) of each, ways."""
+    """A network without right of way.
+
+    Attributes:
+        strands: The strands.
+        spans: The spans inside junctions.
+        rows: The edges.
+        junctions: The numbers of the junctions at the start (2 n) and end (2 n + 1) of each edge.
+        ways: The connections.
+    """
 
     strands: Strands
     spans: Spans
@@ -203,7 +225,15 @@ class Layout:
 
 
 def make_layout(lanes: dict[int, KeptLane], held: Collection[int]) -> Layout:
-    """Lay the network out; ``held``: lanes that begin at a signal or a stop sign."""
+    """Lay out a network.
+
+    Args:
+        lanes: The lanes by id.
+        held: The lanes that begin at a signal or a stop sign.
+
+    Returns:
+        The layout.
+    """
     strands = make_strands(lanes, held)
     conflicts = find_conflicts(strands.all)
     spans = first_spans(strands, conflicts, held)

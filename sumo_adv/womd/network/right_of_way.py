@@ -1,12 +1,12 @@
-"""Which links of a junction are in each other's way, and which of them yields where there are no signals.
+"""Decide which links of a junction are in each other's way, and which of them yields without signals.
 
-SUMO knows of a conflict inside a junction only where two lines cross. Two that pass each other nearer than vehicles can
-are therefore bent until they do, each by half of what is missing.
+SUMO sees a conflict inside a junction only if two lanes cross. Two lanes that pass each other nearer than vehicles can
+are therefore bent until they cross, each by half of the missing distance.
 
-Every link has a rank; of two links in each other's way the lower one yields. Ranks are a strict order, so there is no
-ring of waiting vehicles. Stop signs come last, then the road (axis) of less speed and fewer lanes, then turns:
-straight before right before left. Where all approaches have a stop sign, or three and every road has one, the first to
-arrive goes first.
+Every link has a rank. Of two links in each other's way, the one with the lower rank yields. Ranks are a strict order,
+so there is no ring of waiting vehicles. Links with stop signs come last. Then the road (axis) decides: less speed and
+fewer lanes rank lower. Then the turn decides: straight before right before left. The first to arrive goes first if all
+approaches have a stop sign, or if three have one and every road has one.
 """
 
 from __future__ import annotations
@@ -26,19 +26,28 @@ from sumo_adv.womd.network.roads import JunctionLink, RoadEdge
 if TYPE_CHECKING:
     from shapely import LineString
 
-MAX_CONFLICT_DISTANCE_M = 0.8  # between the lines of two links that are in each other's way without crossing
-BEND_LENGTH_M = 4.0  # before and after the nearest place over which a line is bent
-UNBENT_END_M = 1.0  # from its end where a line is not bent
-MAX_BEND_OFFSET_M = 0.45  # that one line is bent
-CROSSING_OVERLAP_M = 0.05  # by which bent lines reach over each other
-SAME_AXIS_RAD = math.radians(35.0)  # approaches with directions (or opposites) that differ by less are one road
-SAME_LIMIT_M_S = 2.2  # (5 mph), limits that differ by less count as the same
+MAX_CONFLICT_DISTANCE_M = 0.8  # two links this near are in each other's way without crossing
+BEND_LENGTH_M = 4.0  # a line is bent this far before and after the nearest place
+UNBENT_END_M = 1.0  # a line is not bent within this distance of its ends
+MAX_BEND_OFFSET_M = 0.45  # maximum offset of one line
+CROSSING_OVERLAP_M = 0.05  # by which bent lines overlap
+SAME_AXIS_RAD = math.radians(35.0)  # approaches whose directions (or opposites) differ by less are one road
+SAME_LIMIT_M_S = 2.2  # (5 mph); limits that differ by less count as the same
 MOVEMENT_PRIORITY = {"s": 3, "r": 2, "l": 1, "t": 0}
 Rank = tuple[float, ...]
 
 
 def find_foes(links: Sequence[JunctionLink]) -> set[tuple[int, int]]:
-    """Pairs (i, j), i < j, of links of one junction that merge, cross or come too close; never two from one lane."""
+    """Return pairs of links of one junction that are in each other's way.
+
+    They merge, cross or come too close. Links from the same lane are never in each other's way.
+
+    Args:
+        links: The links.
+
+    Returns:
+        Pairs (i, j) of indices, i < j.
+    """
     from shapely import STRtree, linestrings
 
     if not links:
@@ -56,7 +65,7 @@ def find_foes(links: Sequence[JunctionLink]) -> set[tuple[int, int]]:
 
 
 def _apart(a: JunctionLink, b: JunctionLink) -> bool:
-    """Whether one passes over the other."""
+    """Return whether one link passes over the other."""
     if abs(float(np.mean(a.heights)) - float(np.mean(b.heights))) < LAYER_HEIGHT_M / 2:
         return False
     distance = np.hypot(a.shape[:, None, 0] - b.shape[None, :, 0], a.shape[:, None, 1] - b.shape[None, :, 1])
@@ -65,7 +74,15 @@ def _apart(a: JunctionLink, b: JunctionLink) -> bool:
 
 
 def bend_together(links: Sequence[JunctionLink], foes: set[tuple[int, int]]) -> tuple[JunctionLink, ...]:
-    """The links, with those bent that pass a foe closely without crossing it on the way."""
+    """Bend links that pass a foe closely without crossing it on the way.
+
+    Args:
+        links: The links.
+        foes: The pairs of links in each other's way (``find_foes``).
+
+    Returns:
+        The links in the same order.
+    """
     from shapely import LineString
     from shapely.ops import substring
 
@@ -97,8 +114,11 @@ def bend_together(links: Sequence[JunctionLink], foes: set[tuple[int, int]]) -> 
 
 
 def _nearest(lines: Sequence[LineString], parts: Sequence[LineString]) -> tuple[list[float], Floats]:
-    """Where parts of two lines are nearest, as stations on the lines [m], and what the first lacks to cross the second
-    there [m]."""
+    """Return where parts of two lines are nearest, and what the first lacks to cross the second there.
+
+    Returns:
+        The stations on both lines [m], and the missing offset ``(2,)`` [m].
+    """
     from shapely.ops import nearest_points
 
     ends = nearest_points(*parts)
@@ -108,7 +128,7 @@ def _nearest(lines: Sequence[LineString], parts: Sequence[LineString]) -> tuple[
 
 
 def _bend(link: JunctionLink, station: float, way: Floats) -> JunctionLink:
-    """The link moved by ``way`` [m] at ``station``, less and less to both sides, its ends kept."""
+    """Move the link by ``way`` [m] at ``station``, decreasing to both sides, with its ends unchanged."""
     along = line_stations(link.shape)
     reach = min(BEND_LENGTH_M, station, float(along[-1]) - station)
     extra = station + reach * np.linspace(-1.0, 1.0, 17)
@@ -120,7 +140,14 @@ def _bend(link: JunctionLink, station: float, way: Floats) -> JunctionLink:
 
 @dataclass(frozen=True, slots=True)
 class LinkPriorities:
-    """For each link: SUMO's letter (M, m, s, w), and the links it yields to; foes both ways; the kind of junction."""
+    """The right of way at all junctions.
+
+    Attributes:
+        kind: The kind of each junction by its name.
+        state: SUMO's letter of each link (M, m, s, w).
+        yields_to: For each link, the links that it yields to.
+        foes: For each link, all links in its way.
+    """
 
     kind: dict[str, str]
     state: tuple[str, ...]
@@ -132,8 +159,18 @@ def settle(
     links: Sequence[JunctionLink], edges: dict[str, RoadEdge], foes: set[tuple[int, int]], stops: Collection[int],
     ruled: Collection[int],
 ) -> LinkPriorities:  # fmt: skip
-    """Rank the links of every junction; ``stops``: WOMD lanes that begin at a stop sign; ``ruled``: links that a
-    signal rules (they go before all others of their junction)."""
+    """Rank the links of every junction.
+
+    Args:
+        links: The links.
+        edges: The edges by name.
+        foes: The pairs of links in each other's way (``find_foes``).
+        stops: WOMD lanes that begin at a stop sign.
+        ruled: Links that a signal rules. They go before all others of their junction.
+
+    Returns:
+        The right of way.
+    """
     of_junction: dict[str, list[int]] = {}
     for k, link in enumerate(links):
         of_junction.setdefault(link.junction, []).append(k)
@@ -157,7 +194,11 @@ def settle(
 
 
 def _all_stop(edges: dict[str, RoadEdge], approaches: set[str], halting: set[str]) -> bool:
-    """Whether all approaches have a stop sign; or three and more have one, and no road goes through without."""
+    """Return whether a junction is an all-way stop.
+
+    It is one if both of two approaches, or at least three approaches, have a stop sign, and no road leads through
+    without one.
+    """
     stopping = [_heading(edges[name]) for name in approaches & halting]
     if len(approaches) < 2 or len(stopping) < min(3, len(approaches)):
         return False
@@ -171,7 +212,7 @@ def _ranks(
     stopped: list[bool],
     ruled: Collection[int],
 ) -> dict[int, Rank]:
-    """A rank for every link of a junction, all different; the greater goes first."""
+    """Return a distinct rank for every link of a junction; the greater goes first."""
     sources = sorted({links[k].source for k in members})
     heading = {name: _heading(edges[name]) for name in sources}
     straight = {name: any(links[k].direction == "s" for k in members if links[k].source == name) for name in sources}
@@ -191,12 +232,13 @@ def _ranks(
 
 
 def _heading(edge: RoadEdge) -> float:
-    """Direction [rad] at the end of an edge."""
+    """Return the direction at the end of an edge [rad]."""
     shape = edge.lanes[0].shape
     back = shape[max(0, len(shape) - 5)]
     return float(np.arctan2(*(shape[-1] - back)[::-1]))
 
 
 def _one_road(a: float, b: float) -> bool:
+    """Return whether two directions, or their opposites, belong to one road."""
     difference = abs((a - b + math.pi / 2) % math.pi - math.pi / 2)
     return difference < SAME_AXIS_RAD

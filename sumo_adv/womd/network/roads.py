@@ -1,6 +1,6 @@
-"""The layout as SUMO's nouns: edges with lanes, links between lanes, junctions; all with their exact shapes.
+"""Convert the layout to SUMO's terms: edges with lanes, links and junctions, all with their exact shapes.
 
-A lane is as wide as from its centre to the painted line or road edge at either side.
+A lane extends from its centre to the painted line or road edge on either side.
 """
 
 from __future__ import annotations
@@ -19,22 +19,31 @@ from sumo_adv.womd.network.layout import ConnectionPath, Layout, Leg, Row, Stran
 from sumo_adv.womd.network.strands import Strand
 from sumo_adv.womd.record import LineFeature
 
-BORDER_SEARCH_DISTANCE_M = 3.5  # to a side that a line is looked for
-WIDTH_PROBE_COUNT = 5  # places along a stretch
+BORDER_SEARCH_DISTANCE_M = 3.5  # distance to each side within which lines are searched for
+WIDTH_PROBE_COUNT = 5  # number of places along a stretch
 DEFAULT_LANE_WIDTH_M = 3.4
 DEFAULT_BIKE_LANE_WIDTH_M = 1.5
 MIN_CAR_LANE_WIDTH_M, MAX_CAR_LANE_WIDTH_M = 2.8, 5.0  # m
 MIN_BIKE_LANE_WIDTH_M, MAX_BIKE_LANE_WIDTH_M = 1.0, 2.5  # m
-MAX_STRAIGHT_TURN_RAD = math.radians(30.0)  # less of a turn is straight on
-MIN_U_TURN_RAD = math.radians(150.0)  # more of a turn to the left is a U-turn
-BEND_LATERAL_ACCELERATION_M_S2 = 5.5  # that limits speed in a bend, as netconvert has it
-MIN_BEND_SPEED_M_S = 3.0  # no bend is slower
+MAX_STRAIGHT_TURN_RAD = math.radians(30.0)  # a smaller turn is straight on
+MIN_U_TURN_RAD = math.radians(150.0)  # a greater turn to the left is a U-turn
+BEND_LATERAL_ACCELERATION_M_S2 = 5.5  # limits the speed in a bend, as in netconvert
+MIN_BEND_SPEED_M_S = 3.0  # minimum speed in a bend
 
 
 def find_widths(
     strands: tuple[Strand, ...], rows: Sequence[Row], lines: Iterable[LineFeature]
 ) -> dict[StrandStretch, float]:
-    """The width [m] of every stretch of every row."""
+    """Return the width of every stretch of every row.
+
+    Args:
+        strands: The strands.
+        rows: The rows of stretches.
+        lines: The painted lines and road edges.
+
+    Returns:
+        The widths [m].
+    """
     stretches = [stretch for row in rows for stretch in row]
     centre, side = _probes(strands, stretches)
     sides = _distances(np.vstack([centre, centre]), np.vstack([side, -side]), lines)
@@ -54,7 +63,7 @@ def find_widths(
 
 
 def _choose(left: Floats, right: Floats, spacing: float | None, default: float) -> float:
-    """By the lines at both sides, else by the neighbours in the row, else by a line at one side."""
+    """Choose the width by lines on both sides, otherwise by the neighbours in the row, otherwise by a line on one."""
     both = left + right
     if np.isfinite(both).any():
         return float(np.median(both[np.isfinite(both)]))
@@ -65,7 +74,7 @@ def _choose(left: Floats, right: Floats, spacing: float | None, default: float) 
 
 
 def _probes(strands: tuple[Strand, ...], stretches: list[StrandStretch]) -> tuple[Floats, Floats]:
-    """Points ``(n, 3)`` on the centres and unit vectors ``(n, 2)`` to the left of each."""
+    """Return points ``(n, 3)`` [m] on the centres, and the unit vector ``(n, 2)`` to the left of each."""
     centres, sides = [], []
     for stretch in stretches:
         strand = strands[stretch.strand]
@@ -81,8 +90,10 @@ def _probes(strands: tuple[Strand, ...], stretches: list[StrandStretch]) -> tupl
 
 
 def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Floats:
-    """Distance from each centre to the first line that crosses the ray to its side, inf if none within
-    ``BORDER_SEARCH_DISTANCE_M``."""
+    """Return the distance from each centre to the first line that crosses the ray to its side [m].
+
+    The distance is inf if there is no such line within ``BORDER_SEARCH_DISTANCE_M``.
+    """
     from shapely import STRtree, linestrings
 
     distances = np.full(len(centre), np.inf)
@@ -108,7 +119,7 @@ def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Fl
 
 
 def _spacings(strands: tuple[Strand, ...], rows: Iterable[Row]) -> dict[StrandStretch, float]:
-    """Mean distance between the middles of neighbours in a row."""
+    """Return the mean distance between the middles of neighbours in a row [m]."""
     spacings: dict[StrandStretch, list[float]] = {}
     for row in rows:
         middles = [at(strands[s.strand].points, strands[s.strand].along, (s.start + s.end) / 2) for s in row]
@@ -121,7 +132,15 @@ def _spacings(strands: tuple[Strand, ...], rows: Iterable[Row]) -> dict[StrandSt
 
 @dataclass(frozen=True, slots=True)
 class RoadLane:
-    """A lane of an edge. shape ``(n, 2)`` [m], heights ``(n,)`` [m], width m, speed m/s."""
+    """A lane of an edge.
+
+    Attributes:
+        shape: Its shape, ``(n, 2)`` [m].
+        heights: The heights of its points, ``(n,)`` [m].
+        width: Its width [m].
+        speed: Its speed limit [m/s].
+        bike: Whether only bicycles may use it.
+    """
 
     shape: Floats
     heights: Floats
@@ -132,7 +151,14 @@ class RoadLane:
 
 @dataclass(frozen=True, slots=True)
 class RoadEdge:
-    """An edge from junction ``start`` to junction ``end``; lanes from right to left."""
+    """An edge between two junctions.
+
+    Attributes:
+        name: The name of the edge.
+        start: The junction at its start.
+        end: The junction at its end.
+        lanes: Its lanes, from right to left.
+    """
 
     name: str
     start: str
@@ -141,16 +167,28 @@ class RoadEdge:
 
     @property
     def speed(self) -> float:
-        """The fastest lane's limit [m/s]."""
+        """The limit of the fastest lane [m/s]."""
         return max(lane.speed for lane in self.lanes)
 
 
 @dataclass(frozen=True, slots=True)
 class JunctionLink:
-    """A way through ``junction`` from lane ``from_lane`` of edge ``source`` to ``to_lane`` of ``target``.
+    """A link through a junction from one lane to another.
 
-    shape ``(n, 2)`` [m]; heights ``(n,)`` [m]; width m; speed m/s; turn rad, left positive; legs: the spans it uses;
-    lanes: WOMD lanes that begin on it, in order; turning: some of it is a lane that turns in a junction.
+    Attributes:
+        junction: The junction.
+        source: The edge that it leaves.
+        from_lane: The index of the lane that it leaves.
+        target: The edge that it enters.
+        to_lane: The index of the lane that it enters.
+        shape: Its shape, ``(n, 2)`` [m].
+        heights: The heights of its points, ``(n,)`` [m].
+        width: Its width [m].
+        speed: Its speed limit [m/s].
+        turn: The angle by which it turns [rad], left positive.
+        legs: The spans that it uses.
+        lanes: The WOMD lanes that begin on it, in order.
+        turning: Whether some of it is a lane that turns in a junction.
     """
 
     junction: str
@@ -179,7 +217,14 @@ class JunctionLink:
 
 @dataclass(frozen=True, slots=True)
 class RoadNetwork:
-    """The whole network. junctions: name -> centre (x, y) [m]."""
+    """The whole network.
+
+    Attributes:
+        edges: The edges by name.
+        links: The links.
+        junctions: The centre (x, y) [m] of each junction by its name.
+        place: The edge and lane index of each stretch.
+    """
 
     edges: dict[str, RoadEdge]
     links: tuple[JunctionLink, ...]
@@ -188,7 +233,15 @@ class RoadNetwork:
 
 
 def make_roads(layout: Layout, widths: dict[StrandStretch, float]) -> RoadNetwork:
-    """Name and shape everything."""
+    """Return the network of a layout, with names and shapes.
+
+    Args:
+        layout: The layout.
+        widths: The width of each stretch [m].
+
+    Returns:
+        The network.
+    """
     edges, place = _edges(layout, widths)
     links = tuple(_link(layout, way, edges, place) for way in layout.ways)
     ends: dict[str, list[Floats]] = {}
@@ -204,6 +257,7 @@ def make_roads(layout: Layout, widths: dict[StrandStretch, float]) -> RoadNetwor
 def _edges(
     layout: Layout, widths: dict[StrandStretch, float]
 ) -> tuple[dict[str, RoadEdge], dict[StrandStretch, tuple[str, int]]]:
+    """Return the edges by name, and the edge and lane index of each stretch."""
     edges: dict[str, RoadEdge] = {}
     place: dict[StrandStretch, tuple[str, int]] = {}
     strands = layout.strands.all
@@ -225,6 +279,7 @@ def _edges(
 def _link(
     layout: Layout, way: ConnectionPath, edges: dict[str, RoadEdge], place: dict[StrandStretch, tuple[str, int]]
 ) -> JunctionLink:
+    """Return the link of a way."""
     source, from_lane = place[way.source]
     target, to_lane = place[way.target]
     parts, lanes = [], []
@@ -238,7 +293,7 @@ def _link(
     before, after = edges[source].lanes[from_lane], edges[target].lanes[to_lane]
     strands = [layout.strands.all[number] for number, _ in way.legs]
     speed = min(min(strand.speed for strand in strands), _bend_speed(shape))
-    with_ends = joined_line([before.shape[-3:], shape, after.shape[:3]])  # so that short ones have a direction
+    with_ends = joined_line([before.shape[-3:], shape, after.shape[:3]])  # so that short links have a direction
     return JunctionLink(
         edges[source].end, source, from_lane, target, to_lane, shape, line[:, 2], min(before.width, after.width), speed,
         turned(with_ends), way.legs, tuple(lanes),
@@ -247,7 +302,7 @@ def _link(
 
 
 def _bend_speed(shape: Floats) -> float:
-    """The speed [m/s] at which the mean bend of a shape takes ``BEND_LATERAL_ACCELERATION_M_S2``."""
+    """Return the speed [m/s] at which the mean bend of a shape takes ``BEND_LATERAL_ACCELERATION_M_S2``."""
     length = float(np.sum(np.hypot(*np.diff(shape, axis=0).T)))
     bend = abs(turned(shape)) / max(length, 1.0)
     return max(math.sqrt(BEND_LATERAL_ACCELERATION_M_S2 / max(bend, 1e-4)), MIN_BEND_SPEED_M_S)

@@ -1,13 +1,19 @@
-"""Signals: phases as recorded, then a default for streams without a recorded green, over and over.
+"""Plan signals: the recorded phases, followed by a default for streams without a recorded green, in a repeated cycle.
 
-A link is ruled by the first signal lane that begins on it. Where a lane's state is unknown for a while, the last known
-state holds; where it is unknown throughout, it does as a lane of the same edge and direction, else as logged vehicles
-that drive off there tell (one that drives over a stop line has green), else it is red until the default. So it is with
-approaches that go straight on across ruled ones and of which the record tells no signal. In the default no two streams
-that cross or merge are green together.
+A link is ruled by the first signal lane that begins on it. If a lane's state is unknown for a while, the last known
+state holds. If the state is unknown throughout, the first of these applies:
 
-A witnessed green lasts from when the vehicle last stood (if it did not, from ``GREEN_BEFORE_PASSING_S`` before) until
-just after its front is over the line; short breaks between two vehicles are green too. Yellow follows."""
+- The lane follows a lane of the same edge and direction.
+- The lane follows logged vehicles that drive off there. A vehicle that drives over a stop line has green.
+- The lane is red until the default.
+
+The same applies to approaches that go straight on across ruled ones and have no recorded signal. In the default, no two
+streams that cross or merge are green together.
+
+A witnessed green begins when the vehicle last stood or, if it did not stand, ``GREEN_BEFORE_PASSING_S`` before its
+front passes the line. The green lasts until just after that. Short breaks between two vehicles are green too. Yellow
+follows.
+"""
 
 from __future__ import annotations
 
@@ -24,27 +30,36 @@ from sumo_adv.womd.network.right_of_way import LinkPriorities
 from sumo_adv.womd.network.roads import JunctionLink
 from sumo_adv.womd.record import VEHICLE, Record
 
-# s of green before and after a vehicle that did not stand drives over the line
+# Green before and after the front of a vehicle that did not stand passes the line.
 GREEN_BEFORE_PASSING_S = 4.0
 GREEN_AFTER_PASSING_S = 1.0
-JOINED_GREEN_GAP_S = 5.0  # of a break that is green too
+JOINED_GREEN_GAP_S = 5.0  # a break of at most this length is green too
 MAX_STANDING_SPEED_AT_LIGHT_M_S = 1.0
-MAX_LINK_OFFSET_M = 1.5  # from a link's line at most
-MAX_LINK_ANGLE_RAD = 0.5  # between a vehicle and the link at the line
-# m, or that share of it, that a vehicle must follow a link to have taken it
+MAX_LINK_OFFSET_M = 1.5  # maximum distance from a link's line
+MAX_LINK_ANGLE_RAD = 0.5  # maximum angle between a vehicle and the link at the line
+# A vehicle has taken a link if it follows the link for this length, or for this share of the link.
 MIN_FOLLOWED_LINK_M = 12.0
 MIN_FOLLOWED_LINK_SHARE = 0.6
-LETTER_OF_SIGNAL_STATE = ("", "r", "y", "g", "r", "y", "g", "r", "o")  # by the dataset's number; "" = unknown
-ENOUGH_GREEN_S = 5.0  # of green in the record after which the default need not serve a stream
-DEFAULT_GREEN_S, DEFAULT_YELLOW_S, DEFAULT_CLEARANCE_S = 8.0, 3.0, 1.0  # s of the default's phases
+LETTER_OF_SIGNAL_STATE = ("", "r", "y", "g", "r", "y", "g", "r", "o")  # by the dataset's number; "" means unknown
+ENOUGH_GREEN_S = 5.0  # a stream with this much green in the record needs no default
+DEFAULT_GREEN_S, DEFAULT_YELLOW_S, DEFAULT_CLEARANCE_S = 8.0, 3.0, 1.0  # durations in the default
 
-Rulers = Mapping[int, int | None]  # link -> the lane of its signal, None where the record has none for it
+Rulers = Mapping[int, int | None]  # link -> the lane of its signal; None if the record has none for it
 Stream = tuple[str, str]  # edge and direction
 
 
 @dataclass(frozen=True, slots=True)
 class RecordTraffic:
-    """All vehicles of a record: fronts, centres ``(k, n, 2)`` m; heading rad, speed m/s, valid ``(k, n)``; step s."""
+    """All vehicles of a record. There are k vehicles and n steps.
+
+    Attributes:
+        fronts: The middles of their fronts, ``(k, n, 2)`` [m].
+        centres: Their centres, ``(k, n, 2)`` [m].
+        heading: Their headings, ``(k, n)`` [rad].
+        speed: Their speeds, ``(k, n)`` [m/s].
+        valid: Whether their states are known, ``(k, n)``.
+        step: The length of a step [s].
+    """
 
     fronts: Floats
     centres: Floats
@@ -55,7 +70,7 @@ class RecordTraffic:
 
 
 def logged_traffic(record: Record) -> RecordTraffic:
-    """The record's vehicles."""
+    """Return the vehicles of a record."""
     tracks = [t for t in record.tracks if t.kind == VEHICLE]
     shape = (len(tracks), len(record.time))
     x, y, heading, length, vx, vy = (
@@ -70,7 +85,15 @@ def logged_traffic(record: Record) -> RecordTraffic:
 
 
 def witnessed_letters(traffic: RecordTraffic, links: Sequence[JunctionLink]) -> list[str]:
-    """A letter a step (g, y or r) for links that have one signal; empty if no vehicle drove off on any of them."""
+    """Return the signal that logged vehicles imply.
+
+    Args:
+        traffic: The vehicles.
+        links: Links that have one signal.
+
+    Returns:
+        A letter for each step (g, y or r); empty if no vehicle drove off on any of the links.
+    """
     green = np.zeros(traffic.valid.shape[1], bool)
     for link in links:
         for vehicle, over in _drives(traffic, link):
@@ -93,7 +116,7 @@ def witnessed_letters(traffic: RecordTraffic, links: Sequence[JunctionLink]) -> 
 
 
 def _drives(traffic: RecordTraffic, link: JunctionLink) -> Iterator[tuple[int, int]]:
-    """Vehicles that take a link, each with the step at which its front is over the line."""
+    """Yield vehicles that take a link, each with the step at which its front has passed the line."""
     from shapely import LineString, distance, line_locate_point, points
 
     line = LineString(link.shape)
@@ -115,13 +138,18 @@ def _drives(traffic: RecordTraffic, link: JunctionLink) -> Iterator[tuple[int, i
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """The signals of a junction. index: link -> place in the state; phases: (duration [s], state)."""
+    """The signals of a junction.
+
+    Attributes:
+        index: The place of each link in the state.
+        phases: The durations [s] and states of the phases.
+    """
 
     index: Mapping[int, int]
     phases: tuple[tuple[float, str], ...]
 
     def element(self, name: str) -> ET.Element:
-        """As SUMO's tlLogic."""
+        """Return the program as SUMO's tlLogic."""
         made = ET.Element("tlLogic", id=name, type="static", programID="womd", offset="0.00")
         for duration, state in self.phases:
             ET.SubElement(made, "phase", duration=f"{duration:.2f}", state=state)
@@ -130,8 +158,14 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
-    """Programs by junction, and the report's counts: signal lanes with a state that is never known, streams that logged
-    vehicles tell of, approaches signalled without a recorded signal."""
+    """The signals of a network.
+
+    Attributes:
+        programs: The programs by junction.
+        unknown: The number of signal lanes whose state is never known.
+        witnessed: The number of streams whose signal follows from logged vehicles.
+        assumed: The number of approaches with signals but without a recorded signal.
+    """
 
     programs: dict[str, Program]
     unknown: int
@@ -142,8 +176,18 @@ class SignalPlan:
 def ruling_lanes(
     record: Record, links: Sequence[JunctionLink], foes: Collection[tuple[int, int]], stops: Collection[int]
 ) -> dict[int, int | None]:
-    """Link number -> the signal lane that rules it; None for links of an approach without a recorded signal or a stop
-    sign that goes straight on across a ruled one."""
+    """Return the signal lane that rules each link.
+
+    Args:
+        record: The record.
+        links: The links.
+        foes: The pairs of links in each other's way.
+        stops: WOMD lanes that begin at a stop sign.
+
+    Returns:
+        The signal lane by the number of the link. It is None for links of an approach that goes straight on across a
+        ruled link and has neither a recorded signal nor a stop sign.
+    """
     recorded = {state.lane for step in record.signals for state in step}
     ruling: dict[int, int | None] = {}
     for n, link in enumerate(links):
@@ -158,7 +202,17 @@ def ruling_lanes(
 
 
 def plan_signals(record: Record, links: Sequence[JunctionLink], rulers: Rulers, order: LinkPriorities) -> SignalPlan:
-    """Programs for all junctions with a ruled link."""
+    """Return programs for all junctions with a ruled link.
+
+    Args:
+        record: The record.
+        links: The links.
+        rulers: The signal lane that rules each link (``ruling_lanes``).
+        order: The right of way of the links.
+
+    Returns:
+        The programs, and counts for the report.
+    """
     letters = _letters(record)
     place: dict[int | None, int] = {lane: n for n, lane in enumerate(letters)}
     programs: dict[str, Program] = {}
@@ -179,7 +233,7 @@ def plan_signals(record: Record, links: Sequence[JunctionLink], rulers: Rulers, 
 
 
 def _letters(record: Record) -> dict[int, list[str]]:
-    """For each signal lane, in the recorded order, a letter a step; gaps are filled with the last known one."""
+    """Return a letter for each step by signal lane, in recorded order; gaps are filled with the last known letter."""
     letters: dict[int, list[str]] = {}
     for k, step in enumerate(record.signals):
         for state in step:
@@ -196,8 +250,11 @@ def _letters(record: Record) -> dict[int, list[str]]:
 def _known(
     record: Record, links: Sequence[JunctionLink], members: list[int], rulers: Rulers, letters: dict[int, list[str]]
 ) -> tuple[dict[int, list[str]], int]:
-    """Each link's letters; where its own are never known those of a like link, else what logged vehicles tell, else
-    red; and of how many streams vehicles told."""
+    """Return the letters of each link, and the number of streams whose letters follow from logged vehicles.
+
+    If a link's own letters are never known, those of a link of the same stream are used, otherwise those that logged
+    vehicles imply, otherwise red.
+    """
     own = {n: letters.get(lane, []) if (lane := rulers[n]) is not None else [] for n in members}
     of_stream: dict[Stream, list[str]] = {}
     for n in members:
@@ -217,10 +274,12 @@ def _known(
 
 
 def _stream(link: JunctionLink) -> Stream:
+    """Return the stream of a link."""
     return link.source, link.direction
 
 
 def _run_lengths(rows: list[str], step: float) -> list[tuple[float, str]]:
+    """Merge equal states of successive steps into phases."""
     phases: list[tuple[float, str]] = []
     for row in rows:
         if phases and phases[-1][1] == row:
@@ -231,7 +290,7 @@ def _run_lengths(rows: list[str], step: float) -> list[tuple[float, str]]:
 
 
 def _needy(links: Sequence[JunctionLink], members: list[int], phases: list[tuple[float, str]]) -> list[Stream]:
-    """Streams with too little green in the record, in order."""
+    """Return the streams with too little green in the record, in order."""
     green: dict[Stream, float] = {}
     for k, n in enumerate(members):
         seen = sum(duration for duration, state in phases if state[k] in "go")
@@ -243,7 +302,7 @@ def _needy(links: Sequence[JunctionLink], members: list[int], phases: list[tuple
 def _default(
     links: Sequence[JunctionLink], members: list[int], needy: list[Stream], order: LinkPriorities
 ) -> list[tuple[float, str]]:
-    """Few green phases that serve every needy stream, each with all others that are in no other's way."""
+    """Return few green phases that serve every needy stream, each with all other streams that fit."""
     of_stream: dict[Stream, list[int]] = {}
     for n in members:
         of_stream.setdefault(_stream(links[n]), []).append(n)
@@ -253,7 +312,7 @@ def _default(
 
 
 def _serve(waiting: list[Stream], of_stream: Mapping[Stream, list[int]], order: LinkPriorities) -> list[set[int]]:
-    """The links that are green together, a set a phase: the first stream that waits with all that fit."""
+    """Return the links that are green together in each phase: the first waiting stream, with all streams that fit."""
     phases = []
     while waiting:
         green: set[int] = set()
@@ -268,7 +327,7 @@ def _serve(waiting: list[Stream], of_stream: Mapping[Stream, list[int]], order: 
 
 
 def _with_changes(phases: list[tuple[float, str]], default: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Record and default one after the other, with yellow and a clearance wherever a green ends, also at the turn."""
+    """Join record and default, with yellow and clearance wherever a green ends, including at the end of the cycle."""
     cycle = list(phases)
     for phase in default:
         cycle += _change(cycle[-1][1], phase[1])
@@ -279,6 +338,7 @@ def _with_changes(phases: list[tuple[float, str]], default: list[tuple[float, st
 
 
 def _change(before: str, after: str) -> list[tuple[float, str]]:
+    """Return the yellow and clearance between two states; nothing if no green ends."""
     ends = [b in "gy" and a == "r" for b, a in zip(before, after, strict=True)]
     if not any(ends):
         return []
@@ -289,7 +349,7 @@ def _change(before: str, after: str) -> list[tuple[float, str]]:
 
 
 def _major(state: str, members: list[int], order: LinkPriorities) -> str:
-    """Capital G for greens that yield to no other green of the phase."""
+    """Replace greens that yield to no other green of the phase by capital G."""
     green = {n for n, letter in zip(members, state, strict=True) if letter in "gyo"}
     return "".join(
         "G" if letter == "g" and not order.yields_to[n] & green else letter

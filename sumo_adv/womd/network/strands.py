@@ -1,9 +1,13 @@
-"""From the record's lanes to strands: which lanes become road, cut where they share their ground, strung together where
-nothing but the next one follows, so that cuts need not lie at lane ends.
+"""Convert a record's lanes to strands.
+
+First, the lanes that become road are chosen. They are cut where they share their ground. They are joined where only one
+lane follows another, so that cuts need not lie at lane ends.
 
 Lanes that split run over the same ground for their first metres, and lanes that merge for their last. As long as they
-are within ``SHARED_GROUND_DISTANCE_M`` of one another they are one section here, so that it can be an edge and need not
-be junction. The start of a lane that a signal or a stop sign holds is left alone: that is where vehicles wait."""
+are within ``SHARED_GROUND_DISTANCE_M`` of each other, they are one section here. The section can then be an edge and
+need not be part of a junction. The start of a lane that a signal or a stop sign holds is not changed, because vehicles
+wait there.
+"""
 
 from __future__ import annotations
 
@@ -17,21 +21,31 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.womd.lines import MAX_CONNECTION_GAP_M, at, distinct_points, line_stations, part, turned
 from sumo_adv.womd.record import BIKE, LaneFeature, Record
 
-MIN_LONE_LANE_LENGTH_M = 1.0  # shorter lanes that nothing leads to or from are dropped
-DEFAULT_SPEED_LIMIT_M_S = 11.176  # (25 mph) where no limit is given anywhere near
-BIKE_LANE_SPEED_M_S = 6.7  # where a bike lane has no limit
-SHARED_GROUND_DISTANCE_M = 0.1  # from the straightest of the lanes that share their ground
-SHARED_GROUND_STEP_M = 0.5  # between the places compared
-MAX_SHARED_LENGTH_M = 12.0  # that lanes share at most
-MAX_SHARED_PART = 0.4  # of a lane that is shared at either end
-MIN_SHARED_LENGTH_M = 0.5  # less is not worth a section
-SAME_SECTION_LIMIT_M_S = 0.5  # sections with limits that differ by less are one road
+MIN_LONE_LANE_LENGTH_M = 1.0  # shorter lanes without connections are dropped
+DEFAULT_SPEED_LIMIT_M_S = 11.176  # (25 mph); for lanes without a limit of their own or on a lane that they touch
+BIKE_LANE_SPEED_M_S = 6.7  # the same for bike lanes
+# Maximum distance between the first lane of a group and the others that share its ground.
+SHARED_GROUND_DISTANCE_M = 0.1
+SHARED_GROUND_STEP_M = 0.5  # between the places that are compared
+MAX_SHARED_LENGTH_M = 12.0  # maximum length that lanes share
+MAX_SHARED_PART = 0.4  # maximum share of a lane that is shared at either end
+MIN_SHARED_LENGTH_M = 0.5  # a shorter length gets no section of its own
+SAME_SECTION_LIMIT_M_S = 0.5  # sections whose limits differ by less are one road
 
 
 @dataclass(frozen=True, slots=True)
 class KeptLane:
-    """A lane that becomes road. points ``(n, 3)`` without doubles; along: their stations ``(n,)`` [m]; index: for each
-    point of the record its station ``(m,)``; speed m/s, never 0; exits and entries: kept lanes that touch."""
+    """A lane that becomes road.
+
+    Attributes:
+        feature: The lane in the record.
+        points: Its points without repeated ones, ``(n, 3)`` [m].
+        along: The stations of these points, ``(n,)`` [m].
+        index: The station of each point of the record, ``(m,)`` [m].
+        speed: Its speed limit [m/s], never 0.
+        entries: The kept lanes before that touch it.
+        exits: The kept lanes after that touch it.
+    """
 
     feature: LaneFeature
     points: Floats
@@ -43,18 +57,25 @@ class KeptLane:
 
     @property
     def length(self) -> float:
-        """Length in m."""
+        """The length of the lane [m]."""
         return float(self.along[-1])
 
     @property
     def bike(self) -> bool:
-        """Whether bicycles alone may use it."""
+        """Whether only bicycles may use the lane."""
         return self.feature.kind == BIKE
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """The lanes kept, those dropped with the reason, links with ends too far apart, lanes of assumed speed."""
+    """The lanes of a record, sorted.
+
+    Attributes:
+        lanes: The lanes that are kept, by id.
+        dropped: The reason for each lane that is dropped, by id.
+        gaps: Pairs of connected lanes whose ends are too far apart.
+        assumed_speeds: The number of lanes with an assumed speed.
+    """
 
     lanes: dict[int, KeptLane]
     dropped: dict[int, str]
@@ -63,7 +84,7 @@ class Kept:
 
 
 def keep_lanes(record: Record) -> Kept:
-    """Sort the record's lanes into kept and dropped."""
+    """Sort the record's lanes into kept and dropped ones."""
     dropped: dict[int, str] = {}
     usable: dict[int, Floats] = {}
     for lane in record.lanes.values():
@@ -93,7 +114,7 @@ def keep_lanes(record: Record) -> Kept:
 
 
 def _links(record: Record, usable: dict[int, Floats]) -> tuple[set[tuple[int, int]], list[tuple[int, int]]]:
-    """Pairs (lane, exit) that touch, and those that do not."""
+    """Return pairs (lane, exit) that touch, and pairs that do not."""
     pairs = {(a, b) for a in usable for b in record.lanes[a].exits}
     pairs |= {(a, b) for b in usable for a in record.lanes[b].entries}
     links, gaps = set(), []
@@ -108,7 +129,10 @@ def _links(record: Record, usable: dict[int, Floats]) -> tuple[set[tuple[int, in
 
 
 def _speeds(record: Record, usable: dict[int, Floats], links: set[tuple[int, int]]) -> tuple[dict[int, float], int]:
-    """A speed for every lane: its limit, else that of the fastest lane it touches, else a default."""
+    """Return a speed for every lane [m/s], and the number of lanes without a limit.
+
+    The speed is the lane's limit, otherwise the highest limit of the lanes that it touches, otherwise a default.
+    """
     speeds = {n: record.lanes[n].speed_limit for n in usable if record.lanes[n].speed_limit > 0}
     without = [n for n in usable if n not in speeds]
     near: dict[int, list[float]] = {n: [] for n in without}
@@ -124,7 +148,13 @@ def _speeds(record: Record, usable: dict[int, Floats], links: set[tuple[int, int
 
 @dataclass(frozen=True, slots=True)
 class Use:
-    """A lane from station ``start`` to ``end`` [m] runs over a section, from one end of it to the other."""
+    """A lane that runs over a section, from one end of the section to the other.
+
+    Attributes:
+        lane: The id of the lane.
+        start: The station on the lane at the section's start [m].
+        end: The station on the lane at the section's end [m].
+    """
 
     lane: int
     start: float
@@ -133,8 +163,17 @@ class Use:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Ground of one lane or of several. points ``(n, 3)``; entries, exits: keys of sections; speed m/s; turning: all
-    its lanes interpolate."""
+    """Ground of one lane or of several.
+
+    Attributes:
+        points: Its centre line, ``(n, 3)`` [m].
+        uses: The lanes on it.
+        entries: The keys of the sections before.
+        exits: The keys of the sections after.
+        speed: Its speed limit [m/s].
+        bike: Whether only bicycles may use it.
+        turning: Whether all its lanes interpolate.
+    """
 
     points: Floats
     uses: tuple[Use, ...]
@@ -146,7 +185,7 @@ class Section:
 
 
 def _make_sections(lanes: dict[int, KeptLane], held: Collection[int]) -> dict[int, Section]:
-    """All sections by key; ``held``: lanes with a fixed start."""
+    """Return all sections by key; ``held`` are the lanes with a fixed start."""
     heads, tails = (_shared(lanes, held, at_end=at_end) for at_end in (False, True))
     body = {lane: n for n, lane in enumerate(lanes)}
     first, last = dict(body), dict(body)  # the sections at a lane's beginning and end
@@ -180,6 +219,7 @@ def _make_sections(lanes: dict[int, KeptLane], held: Collection[int]) -> dict[in
 def _common_section(
     lanes: dict[int, KeptLane], uses: tuple[Use, ...], entries: tuple[int, ...], exits: tuple[int, ...]
 ) -> Section:
+    """Return a section that several lanes share, with the centre line of the first."""
     main = lanes[uses[0].lane]
     points = part(main.points, main.along, uses[0].start, uses[0].end)
     turning = all(lanes[use.lane].feature.interpolating for use in uses)
@@ -187,8 +227,11 @@ def _common_section(
 
 
 def _shared(lanes: dict[int, KeptLane], held: Collection[int], *, at_end: bool) -> list[tuple[list[int], float]]:
-    """Groups of lanes, the straightest first, that share their last metres before, or their first after, the same one
-    lane; and how many metres."""
+    """Return groups of lanes that share ground before or after one lane, and for how long.
+
+    The lanes of a group, the straightest first, share their last metres before the lane (``at_end``) or their first
+    metres after it.
+    """
     groups = []
     for number, lane in lanes.items():
         if at_end:
@@ -208,7 +251,7 @@ def _shared(lanes: dict[int, KeptLane], held: Collection[int], *, at_end: bool) 
 
 
 def _common(group: Sequence[KeptLane], *, at_end: bool) -> float:
-    """How far [m] all lanes are on the same ground, from their ends backward or their starts forward."""
+    """Return how far all lanes are on the same ground [m], from their ends backward or their starts forward."""
     most = min(MAX_SHARED_LENGTH_M, MAX_SHARED_PART * min(lane.length for lane in group))
     distance = np.arange(0.0, most, SHARED_GROUND_STEP_M)
     if len(distance) < 2:
@@ -224,7 +267,15 @@ def _common(group: Sequence[KeptLane], *, at_end: bool) -> float:
 
 @dataclass(frozen=True, slots=True)
 class LaneRun:
-    """Lane ``lane`` from its station lane_start to lane_end lies on a strand from start to end [m]."""
+    """A part of a lane on a strand.
+
+    Attributes:
+        lane: The id of the lane.
+        lane_start: The station on the lane at which the part begins [m].
+        lane_end: The station on the lane at which it ends [m].
+        start: The station on the strand at which it begins [m].
+        end: The station on the strand at which it ends [m].
+    """
 
     lane: int
     lane_start: float
@@ -235,8 +286,19 @@ class LaneRun:
 
 @dataclass(frozen=True, slots=True)
 class Strand:
-    """Lanes one after the other. points ``(n, 3)``, along ``(n,)`` [m]; runs: the lanes on it in order; exits, entries:
-    numbers of strands; turning: every lane interpolates, as in a junction."""
+    """Successive lanes as one line.
+
+    Attributes:
+        number: The number of the strand.
+        points: Its centre line, ``(n, 3)`` [m].
+        along: The stations of its points, ``(n,)`` [m].
+        runs: The lanes on it, in order.
+        speed: Its speed limit [m/s].
+        bike: Whether only bicycles may use it.
+        turning: Whether every lane on it interpolates, as in a junction.
+        entries: The numbers of the strands before.
+        exits: The numbers of the strands after.
+    """
 
     number: int
     points: Floats
@@ -250,24 +312,37 @@ class Strand:
 
     @property
     def length(self) -> float:
-        """Length in m."""
+        """The length of the strand [m]."""
         return float(self.along[-1])
 
     def lane_at(self, station: float) -> int:
-        """The WOMD lane at a station."""
+        """Return the id of the WOMD lane at a station [m]."""
         return next((run.lane for run in self.runs if station < run.end - 1e-6), self.runs[-1].lane)
 
 
 @dataclass(frozen=True, slots=True)
 class Strands:
-    """All strands; for each lane its runs in order, each with its strand."""
+    """All strands of a record.
+
+    Attributes:
+        all: The strands by number.
+        of_lane: For each lane, its runs in order, each with the number of its strand.
+    """
 
     all: tuple[Strand, ...]
     of_lane: dict[int, tuple[tuple[int, LaneRun], ...]]
 
 
 def make_strands(lanes: dict[int, KeptLane], held: Collection[int]) -> Strands:
-    """String the lanes together; ``held``: lanes that begin at a signal or a stop sign."""
+    """Join lanes to strands.
+
+    Args:
+        lanes: The lanes by id.
+        held: The lanes that begin at a signal or a stop sign.
+
+    Returns:
+        The strands.
+    """
     sections = _make_sections(lanes, held)
     chains = _chains(sorted(sections), _follows(sections))
     first = {chain[0]: k for k, chain in enumerate(chains)}
@@ -294,7 +369,7 @@ def make_strands(lanes: dict[int, KeptLane], held: Collection[int]) -> Strands:
 
 
 def _follows(sections: dict[int, Section]) -> dict[int, int]:
-    """Section -> its successor, where there is no other and both are alike."""
+    """Return the successor of each section that has only one and is like it."""
     successors = {}
     for key, section in sections.items():
         if len(section.exits) == 1 and section.exits[0] != key:
@@ -306,7 +381,7 @@ def _follows(sections: dict[int, Section]) -> dict[int, int]:
 
 
 def _string(parts: list[Floats]) -> tuple[Floats, list[tuple[float, float]]]:
-    """One line through parts that follow one another, and the stations where each begins and ends."""
+    """Return one line through successive parts, and the stations where each begins and ends [m]."""
     placed = [(0.0, float(line_stations(parts[0])[-1]))]
     for before, after in pairwise(parts):
         start = placed[-1][1] + float(np.hypot(*(after[0] - before[-1])[:2]))
@@ -317,7 +392,7 @@ def _string(parts: list[Floats]) -> tuple[Floats, list[tuple[float, float]]]:
 
 
 def _chains(numbers: list[int], follows: dict[int, int]) -> list[list[int]]:
-    """Chains along ``follows``; a ring is opened at its smallest number."""
+    """Return chains along ``follows``; a ring is opened at its smallest number."""
     behind = set(follows.values())
     chains: list[list[int]] = []
     seen: set[int] = set()
