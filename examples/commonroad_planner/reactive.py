@@ -1,7 +1,7 @@
 """CommonRoad's reactive planner as an ego: run it with ``--ego reactive:Reactive`` from this folder.
 
 The package is ``commonroad-reactive-planner``. It samples trajectories along the reference path, for the rear axle, and
-takes the cheapest one that the car can drive and that hits nothing.
+takes the cheapest trajectory that the car can drive and that hits nothing.
 """
 
 from itertools import pairwise
@@ -18,7 +18,7 @@ STEPS = 30  # of a plan, each of 0.1 s
 BRAKING = 0.7  # of the planner's greatest acceleration (11.5 m/s2) that it may brake with
 
 STANDING = 0.1  # m/s
-LEVELS = 3  # of ever denser samples; the fourth takes seconds
+LEVELS = 3  # each samples more densely than the one before; a fourth takes seconds
 
 
 def planner_for(scenario, problem, reference_path, length, width):
@@ -53,12 +53,13 @@ class Reactive(PlannerEgo):
         """Plan with the lanelets that lead the ego's way."""
         ego, road = scene.observation.ego, scene.observation.road
         planner = planner_for(scene.scenario, scene.problem, scene.reference_path, ego.length, ego.width)
-        # It takes each lanelet for its own, also those of the oncoming traffic.
+        # Without this, the planner may also use the lanelets of oncoming traffic.
         ours = [lane.id for lane in road.lanes if lane.junction or lane.relation != "oncoming"]
         planner.set_permitted_lanelet_ids([scene.lanelets[name] for name in ours])
-        planner.set_desired_velocity(scene.speed_limit, max(ego.speed, 0.01))  # at 0 it would wish to stand
+        # With a present speed of 0, the planner would want to stay at rest.
+        planner.set_desired_velocity(scene.speed_limit, max(ego.speed, 0.01))
         try:
             found = planner.plan()
-        except TypeError:  # version 2025.1, where the ego stands and every sample hits something: it fails in its log
+        except TypeError:  # version 2025.1 fails in its own log if the ego stands and every sample hits something
             return None
         return None if found is None else centred(found[0].state_list, planner.vehicle_params.wb_rear_axle)

@@ -304,7 +304,7 @@ def analyzer_prompt(
         limits: The limits of the adversary.
         evidence: Makes the evidence of the predictions; None leaves it out.
         teamwork: What the model may compose; None if it is not asked for compositions.
-        request: An attack in a user's words that is to be carried out; empty for the most dangerous ones.
+        request: An attack to carry out, in a user's words; empty for the most dangerous ones.
     """
     situation = situations[min(situations)]
     aliases = Aliases.of(situation)

@@ -104,7 +104,7 @@ def tried(candidate: Trial) -> str:
 
 
 def _fault(candidate: Trial, encounter: FoundEncounter) -> str:
-    """Return what is wrong with an encounter that was found; '' if it is good."""
+    """Return the reason to reject an encounter; '' if there is none."""
     present = {
         name: sum(name in snapshot.raw for snapshot in encounter.baseline) for name in (encounter.ego, candidate.bv)
     }

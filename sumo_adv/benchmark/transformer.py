@@ -124,7 +124,7 @@ def _states(place: Floats, situation: Situation, bv: str) -> Floats:
 
 
 def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[Proposal]:
-    """Return what is tried, in order: each future is driven by f_traj and judged against the predicted ego."""
+    """Return the proposals in order; each future is driven by f_traj and judged against the predicted ego."""
     if not drawn:
         return []
     settings, limits = encounter.settings, encounter.settings.limits.limits()

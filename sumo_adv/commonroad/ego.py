@@ -1,4 +1,4 @@
-"""An ego for CommonRoad planners: it asks for a plan every few steps, and drives along the last one in between."""
+"""Drive the ego with a CommonRoad planner, which is asked for a plan every few steps."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Followed:
     states: Floats
 
     def at(self, time: float) -> Floats | None:
-        """x, y, heading and speed at a time [s]; None after the end."""
+        """Return x, y, heading and speed at a time [s]; None after the end."""
         if time > self.times[-1] + TIME_TOLERANCE_S:
             return None
         return np.array([np.interp(time, self.times, column) for column in self.states.T])
 
     def rest(self, time: float) -> Points:
-        """The places from a time [s] on, for pages and exports."""
+        """Return the places from a time [s] on, for pages and exports."""
         left = self.states[self.times > time - TIME_TOLERANCE_S, :2].tolist()
         return [(x, y) for x, y in left]
 
@@ -51,8 +51,8 @@ class Followed:
 class PlannerEgo(ABC):
     """The ego that a CommonRoad planner drives. Subclass it, write ``plan``, and name it with ``--ego module:Class``.
 
-    It needs nothing of the planner but ``plan``. Where the observation has no path, and where the route leaves the
-    network, SUMO drives. If there is no plan, the ego brakes fully along its path, and asks again in the next step.
+    If the observation has no path, or the route leaves the network, SUMO drives. If there is no plan, the ego brakes
+    fully along its path, and asks again in the next step.
 
     Attributes:
         replan_every: Steps of the simulation from one plan to the next.
@@ -83,11 +83,11 @@ class PlannerEgo(ABC):
         """
 
     def predict(self, vehicle: VehicleState, times: Floats) -> Floats:
-        """Where another road user will be, straight on at its speed; override it to predict otherwise.
+        """Predict where another road user will be: straight on at its speed. Override this to predict otherwise.
 
         Args:
-            vehicle: As the observation has it.
-            times: From now on ``(n,)`` [s].
+            vehicle: The road user's observed state.
+            times: The times from now on ``(n,)`` [s].
 
         Returns:
             x, y [m] and heading [rad], ``(n, 3)``.
@@ -95,7 +95,7 @@ class PlannerEgo(ABC):
         return constant_velocity(vehicle, times)
 
     def reset(self, seed: int) -> None:
-        """Forget everything: a run begins. A subclass with a ``reset`` of its own calls this one, too."""
+        """Forget everything, because a run begins. A subclass with its own ``reset`` must call this method."""
         self._scenes = Scenes(self.predict, horizon=self.horizon, step=self.time_step, shut_lines=self.shut_lines)
         self._followed: Followed | None = None
         self._steps = 0  # since the last plan
@@ -103,7 +103,7 @@ class PlannerEgo(ABC):
         self.notes = {}
 
     def act(self, seen: Observation) -> Action:
-        """The place in the plan after this step. None (SUMO drives) without a path, and where the route ends."""
+        """Return the place in the plan after this step; None (SUMO drives) without a path or if the route ends."""
         yaw_rate = self._yaw_rate(seen)
         if seen.path is None or seen.road is None or seen.road.leaves:
             self._followed = None
@@ -121,22 +121,24 @@ class PlannerEgo(ABC):
         return PlannedPose(x, y, wrap(heading), max(speed, 0.0), self._followed.rest(seen.time), self.notes)
 
     def _is_due(self, seen: Observation) -> bool:
-        """Whether to plan now: without a plan, ``replan_every`` steps after the last one, at its end, and where the ego
-        is not on it."""
+        """Return whether to plan now.
+
+        This is so without a plan, ``replan_every`` steps after the last plan, at its end, and if the ego is off it.
+        """
         if self._followed is None or self._steps >= self.replan_every:
             return True
         now, after = self._followed.at(seen.time), self._followed.at(seen.time + seen.dt)
         return now is None or after is None or math.dist(now[:2], (seen.ego.x, seen.ego.y)) > MAX_AWAY_M
 
     def _yaw_rate(self, seen: Observation) -> float:
-        """Change of the ego's heading over the last step [rad/s]."""
+        """Return the rate at which the ego's heading changed over the last step [rad/s]."""
         before, self._before = self._before, (seen.time, seen.ego.heading)
         if before is None or before[0] >= seen.time:
             return 0.0
         return wrap(seen.ego.heading - before[1]) / (seen.time - before[0])
 
     def _read(self, states: Sequence[Any], seen: Observation) -> Followed:
-        """States of CommonRoad as a plan; it begins where the ego is.
+        """Read states of CommonRoad as a plan that begins at the ego's present place.
 
         Raises:
             UsageError: A state lacks something, or time does not go on.

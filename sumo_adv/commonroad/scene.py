@@ -56,7 +56,7 @@ Predict: TypeAlias = Callable[[VehicleState, Floats], Floats]
 
 
 def constant_velocity(vehicle: VehicleState, times: Floats) -> Floats:
-    """Straight on at the present speed; see ``Predict``."""
+    """Predict a road user that goes straight on at its present speed; see ``Predict``."""
     gone = vehicle.speed * times
     x, y = vehicle.x + gone * math.cos(vehicle.heading), vehicle.y + gone * math.sin(vehicle.heading)
     return np.column_stack([x, y, np.full(len(times), vehicle.heading)])
@@ -73,7 +73,7 @@ class Scene:
             point of ``observation.path`` on.
         speed_limit: The fastest that the ego should go now [m/s]: ``observation.road.limit``, and less before a lower
             posted limit, which braking with 2 m/s2 must reach. Turns on a junction have such limits.
-        observation: What all this was made of.
+        observation: The observation that the scene shows.
         lanelets: Numbers of the lanelets by SUMO's ids of their lanes.
         obstacles: Numbers of the obstacles by SUMO's ids of the vehicles.
     """
@@ -82,7 +82,7 @@ class Scene:
     problem: PlanningProblem
     reference_path: Floats
     speed_limit: float
-    observation: Observation = field(repr=False)  # printed it would be read, perhaps too late
+    observation: Observation = field(repr=False)  # printing it would read its lazy values, perhaps too late
     lanelets: Mapping[str, int]
     obstacles: Mapping[str, int]
 
@@ -99,12 +99,14 @@ class Scenes:
         self, predict: Predict = constant_velocity, *, horizon: float = HORIZON_S, step: float = STEP_S,
         shut_lines: bool = True,
     ) -> None:  # fmt: skip
-        """Args:
-        predict: How the other road users are predicted.
-        horizon: For how long [s].
-        step: CommonRoad's time step [s], whatever the run's is.
-        shut_lines: Whether a static obstacle stands behind the next line while the ego must wait there. Few CommonRoad
-            planners know right of way.
+        """Set what all scenes of the run have in common.
+
+        Args:
+            predict: Predicts the other road users.
+            horizon: The time over which they are predicted [s].
+            step: CommonRoad's time step [s]; the run's may be another.
+            shut_lines: Whether a static obstacle stands behind the next line while the ego must wait there. Few
+                CommonRoad planners know right of way.
         """
         self._predict, self._step, self._shut_lines = predict, step, shut_lines
         self._times = step * np.arange(1.0, round(horizon / step) + 1.0)
@@ -113,7 +115,7 @@ class Scenes:
         self._network: LaneletNetwork | None = None
 
     def __call__(self, seen: Observation, yaw_rate: float = 0.0) -> Scene:
-        """The scene of one step.
+        """Make the scene of one step.
 
         Args:
             seen: What the driver sees; ``path`` and ``road`` must be there.
@@ -131,7 +133,7 @@ class Scenes:
             scenario.add_objects(self.obstacle(vehicle))
         if self._shut_lines and seen.road.must_wait:
             line = seen.road.stop_lines[0].ahead
-            if line > seen.ego.length / 2:  # else it would stand in the ego
+            if line > seen.ego.length / 2:  # otherwise the obstacle would overlap the ego
                 scenario.add_objects(self._shut_line(path, seen.ego, line, seen.road.width))
         problem = PlanningProblem(self._number("problem", ""), _initial_state(seen.ego, yaw_rate), _goal(path))
         lanelets = {lane.id: self._number("lane", lane.id) for lane in seen.road.lanes}
@@ -209,7 +211,7 @@ def _limit_sign(number: int, limit: float, lanelets: set[int]) -> TrafficSign:
 
 
 def _initial_state(vehicle: VehicleState, yaw_rate: float) -> Any:
-    """A vehicle now. Where it stands, the braking of its last step is over."""
+    """Return the state of a vehicle now. If it stands, its acceleration is 0, not the braking of the last step."""
     acceleration = vehicle.acceleration if vehicle.speed > 0.0 else 0.0
     return InitialState(
         time_step=0, position=np.array([vehicle.x, vehicle.y]), orientation=vehicle.heading, velocity=vehicle.speed,
@@ -229,8 +231,10 @@ def _speed_limit(road: Road) -> float:
 
 
 def _reference_path(path: Floats) -> Floats:
-    """A path, and the straight way to its first point: a path may begin at the centre of the ego, and its rear axle and
-    its rear are behind that."""
+    """Extend a path backwards along a straight line.
+
+    A path may begin at the ego's centre, but the ego's rear and its rear axle are behind that.
+    """
     first = path[1] - path[0]
     first = first / np.hypot(*first)
     return np.vstack([path[0] - np.arange(BEHIND_M, 0.5, -1.0)[:, None] * first, path])
