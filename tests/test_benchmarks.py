@@ -119,8 +119,9 @@ def test_womd_ground_counts_vehicles_that_leave_the_area(program: Program) -> No
 
 
 def test_a_profile_has_the_shares_of_attempts_in_all_processes(program: Program) -> None:
-    header, *rows = printed(program, "profile_attempts.py", "--attempts", "3").splitlines()
-    assert re.match(r"3 attempts on straight_4lane against cautious_ego:CautiousEgo: \d contacts", header)
+    """The observation, about a 25th of the time, needs a dozen attempts to be met by samples every few milliseconds."""
+    header, *rows = printed(program, "profile_attempts.py", "--attempts", "12").splitlines()
+    assert re.match(r"12 attempts on straight_4lane against cautious_ego:CautiousEgo: \d+ contacts", header)
     seconds = {row[:34].strip(): float(row[34:].split()[0]) for row in rows}
     processes = sum(seconds[name] for name in ("front", "engine", "forks of the engine"))
     assert abs(processes - seconds["all"]) < 0.05  # each is rounded
