@@ -200,19 +200,23 @@ def play(
     """
     settings = _with_request(settings)
     with new_engine() as engine:  # first: it loads its modules while this process loads others
+        from sumo_adv.episode.clock import PartsClock
         from sumo_adv.episode.loop import run_episode
         from sumo_adv.episode.task import make_task
         from sumo_adv.report.encounter_figure import load_matplotlib
         from sumo_adv.report.outcome import MODEL_FILE
 
-        load_matplotlib()
-        task = replace(make_task(run_input, settings, scratch), ego_given=ego)
+        clock = PartsClock()
+        with clock.part("start"):
+            load_matplotlib()
+        with clock.part("input"):
+            task = replace(make_task(run_input, settings, scratch), ego_given=ego)
         with (
             open_for_run(settings) as bank,
             new_sandbox(settings) as sandbox,
             open_agents(settings, sandbox, stage / MODEL_FILE) as agents,
         ):
-            run = run_episode(run_input, settings, task, engine, agents, bank, tell)
+            run = run_episode(run_input, settings, task, engine, agents, bank, tell, clock)
             played()
     return run
 

@@ -121,6 +121,6 @@ def test_the_intent_is_that_of_the_attempt_that_counts() -> None:
 
 
 def test_times_of_a_part_are_added() -> None:
-    took = record(10.0).took("seek", 1.0).took("seek", 0.5).took("attempts", 4.0)
+    took = record(10.0).took({"seek": 1.0}).took({"seek": 0.5, "attempts": 4.0})
     assert took.timing == {"seek": 1.5, "attempts": 4.0}
     assert seconds_by_part({"start": 2.0}, took.timing, {"seek": 1.0}) == {"start": 2.0, "seek": 2.5, "attempts": 4.0}

@@ -78,7 +78,7 @@ class Arena:
                 raise
             finder.break_off(Stop(Ending.SIMULATION_FAILED, str(error), failed=True))
         opened = time.perf_counter() - began
-        self._started = {**finder.timing, "opened": opened}
+        self._started = {**finder.clock.seconds, "opened": opened}
         records = [record for record in finder.records if record.passed_over or finder.stop is None]
         spent = seconds_by_part(self._started, *(record.timing for record in records))
         self.unattacked = replace(

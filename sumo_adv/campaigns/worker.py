@@ -29,6 +29,7 @@ from sumo_adv.campaigns.results import (
 from sumo_adv.config import Settings, forget_environment, load_settings
 from sumo_adv.datatypes import Ending, Parameter, Planner
 from sumo_adv.drivers.registry import trusted_driver
+from sumo_adv.episode.clock import PartsClock
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.run import Run
 from sumo_adv.episode.task import make_task
@@ -234,20 +235,23 @@ class Runner(WarmProcesses):
             return keep_failure(self._parts.staged, self._setup.runs, job, reason, traceback.format_exc())
 
     def _run(self, job: EpisodeJob, *, last: bool) -> Done:
-        run_input = self._parts.load(job.input.path, job.input.record)
+        clock = PartsClock()
+        with clock.part("input"):
+            run_input = self._parts.load(job.input.path, job.input.record)
         settings = self.settings(job, run_input)
         with (
             tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch,
             self._parts.staged(self._setup.runs / job.id, force=True, inside=True) as folder,
         ):
-            task = make_task(run_input, settings, Path(scratch))
+            with clock.part("input"):
+                task = make_task(run_input, settings, Path(scratch))
             bank = self._bank()
             recorded = folder.stage / self._parts.model_file
             with (
                 self._parts.open_agents(settings, self._sandboxes.of(settings), recorded) as agents,
                 self._engine.episode() as engine,
             ):
-                run = run_episode(run_input, settings, task, engine, agents, bank, lambda *_: None)
+                run = run_episode(run_input, settings, task, engine, agents, bank, lambda *_: None, clock)
                 log = engine.log.said() if run.ending is Ending.SIMULATION_FAILED else ""
             if run.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()

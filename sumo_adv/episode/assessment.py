@@ -8,7 +8,7 @@ and meets no goal (``Goal.reached``), so that the search goes on.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -66,7 +66,9 @@ class Attempts(Protocol):
     def attempt(self, proposals: Sequence[Proposal]) -> Iterable[AttemptResult]:
         """The results of the proposals, in order."""
 
-    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+    def references(
+        self, proposal: Proposal, result: AttemptResult, known: Mapping[str, str], all_drivers: bool
+    ) -> Preventability | None:
         """Which reference drivers avoid an attempt's collision, also in the loop (``Worker.references``); None where
         that cannot be asked."""
 
@@ -92,9 +94,11 @@ class AttemptRunner:
                 results = self._engine.call_answering(reply, EpisodeCalls.attempts, some)
             yield from results
 
-    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+    def references(
+        self, proposal: Proposal, result: AttemptResult, known: Mapping[str, str], all_drivers: bool
+    ) -> Preventability | None:
         with self._answering([proposal] * len(REFERENCE_DRIVERS)) as reply:
-            return self._engine.call_answering(reply, EpisodeCalls.references, proposal, result, all_drivers)
+            return self._engine.call_answering(reply, EpisodeCalls.references, proposal, result, known, all_drivers)
 
     @contextmanager
     def _answering(self, proposals: Sequence[Proposal]) -> Iterator[Callable[[PlannerQuestion], Answer | str]]:
@@ -342,5 +346,5 @@ def confirmed(attempt: Attempt, result: AttemptResult, runner: Attempts, *, all_
     verdict, prevention = attempt.verdict, attempt.verdict.preventability
     if verdict.level < Level.COLLISION or prevention is None or (prevention.in_loop and not all_drivers):
         return attempt
-    answer = runner.references(attempt.proposal, result, all_drivers)
+    answer = runner.references(attempt.proposal, result, prevention.in_loop, all_drivers)
     return attempt if answer is None else replace(attempt, verdict=with_answers(verdict, answer))

@@ -11,11 +11,12 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.drivers.timing import DriverTime
+from sumo_adv.episode.clock import PartsClock
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.episode.memory_access import selected
 from sumo_adv.episode.prepared_encounter import PreparedEncounter, prepare
 from sumo_adv.episode.run import EncounterRecord, Request, Run, Stop, best_record, seconds_by_part
-from sumo_adv.episode.task import NoEncounter, Task
+from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
@@ -35,18 +36,28 @@ class EncounterFinder:
         stop: Why there is no further encounter; None while there may be one.
         forked: Whether attempts are forks of the simulation; known once the first encounter was looked for.
         stopped: How many calls of each planner ran into a limit in predictions, by the planner's hash.
-        timing: How long the start took [s].
+        clock: How long the parts took that belong to no record: what came before, the start, and the search.
     """
 
-    def __init__(self, run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, tell: Tell) -> None:
+    def __init__(
+        self,
+        run_input: RunInput,
+        settings: Settings,
+        task: Task,
+        engine: EpisodeEngine,
+        tell: Tell,
+        clock: PartsClock | None = None,
+    ) -> None:
         """Find encounters of a task; nothing is simulated yet."""
         self._run_input, self._settings, self._task = run_input, settings, task
         self._engine, self._tell, self._began = engine, tell, time.perf_counter()
+        self.clock = clock or PartsClock()
+        self._before = sum(self.clock.seconds.values())  # s
+        self._unattacked, self._started = 0.0, False
         self.records: list[EncounterRecord] = []
         self.stop: Stop | None = None
         self.forked = False
         self.stopped: Mapping[str, int] = {}
-        self.timing: dict[str, float] = {}
 
     def seek(self) -> EncounterRecord | None:
         """Start the simulation, if it has not started, and go on to the next encounter.
@@ -54,23 +65,22 @@ class EncounterFinder:
         Returns:
             The record of the encounter; None if there is none (``stop`` says why).
         """
-        began = time.perf_counter()
+        engine, before = self._engine, self._unattacked
         if not self.records:
-            self._engine.call(EpisodeCalls.open, self._task)
-            self.forked = self._engine.call(EpisodeCalls.forks)
-            self.timing["start"] = time.perf_counter() - began
-            began = time.perf_counter()
-        found = self._engine.call(EpisodeCalls.seek, self.records[-1].left if self.records else "")
-        seconds = time.perf_counter() - began
+            with self.clock.part("start"):
+                engine.call(EpisodeCalls.open, self._task)
+                self.forked, self._started = engine.call(EpisodeCalls.forks), True
+        with self.clock.part("seek"):
+            found = engine.call(EpisodeCalls.seek, self.records[-1].left if self.records else "")
+            self._unattacked = engine.call(EpisodeCalls.unattacked_seconds)
+            if isinstance(found, FoundEncounter):
+                prefix, lanes = engine.call(EpisodeCalls.prefix), engine.call(EpisodeCalls.lanes, *found.area)
+        self.clock.move(self._unattacked - before, "seek", "unattacked")
         if isinstance(found, NoEncounter):
             self.stop = Stop(found.ending, found.reason)
-            self.timing["seek"] = seconds
             return None
-        record = EncounterRecord(
-            found, self._settings.goal, self._engine.call(EpisodeCalls.prefix),
-            self._engine.call(EpisodeCalls.lanes, *found.area),
-            Request(self._run_input.asked, self._run_input.words), timing={"seek": seconds},
-        )  # fmt: skip
+        request = Request(self._run_input.asked, self._run_input.words)
+        record = EncounterRecord(found, self._settings.goal, prefix, lanes, request)
         self.records.append(record)
         self._tell("encounter", found)
         return record
@@ -78,7 +88,7 @@ class EncounterFinder:
     def driver_time(self) -> DriverTime | None:
         """Return how long the driver's answers took so far; None if that is not known."""
         engine = self._engine
-        if "start" not in self.timing or engine.lost or engine.asked or engine.talks:
+        if not self._started or engine.lost or engine.asked or engine.talks:
             return None
         try:
             return engine.call(EpisodeCalls.driver_time)
@@ -113,6 +123,7 @@ class EncounterFinder:
             given = self._task.trigger is not None
             if reaches or record.found.last or given or len(self.records) > MAX_PASSED_OVER:
                 return prepared
+            self.keep(self.records[-1].took(prepared.timing))
             self.leave(OUT_OF_REACH)
         return None
 
@@ -144,9 +155,10 @@ class EncounterFinder:
             isolation: How planners were kept apart from this machine; empty if none ran.
             bank_hash: Hash of the bank's content before the run.
         """
-        spent = seconds_by_part(self.timing, *(record.timing for record in self.records))
+        spent = seconds_by_part(self.clock.seconds, *(record.timing for record in self.records))
+        total = self._before + time.perf_counter() - self._began
         return Run(
             self._run_input, self._settings, self._task, tuple(self.records), self.stop, self.forked, agents, isolation,
             bank_hash, self._task.own_names(self._engine.log.warnings()),
-            {**spent, "total": time.perf_counter() - self._began}, self.driver_time(),
+            {**spent, "other": total - sum(spent.values()), "total": total}, self.driver_time(),
         )  # fmt: skip

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -63,6 +63,9 @@ class EpisodeCalls(Protocol):
             passed_over: Why the last encounter is not attacked; empty at first.
         """
 
+    def unattacked_seconds(self) -> float:
+        """Return how long the motions without an attack took so far [s]."""
+
     def prefix(self) -> Prefix:
         """Return the simulation from its start to the trigger."""
 
@@ -76,7 +79,9 @@ class EpisodeCalls(Protocol):
         and again when it is repeated, or if the ego's driver does not let it end.
         """
 
-    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+    def references(
+        self, proposal: Proposal, result: AttemptResult, known: Mapping[str, str], all_drivers: bool
+    ) -> Preventability | None:
         """Return which reference drivers avoid the collision of an attempt, kinematically and in the loop.
 
         In the loop ``cc_human`` comes first, and the others that make a collision valid only if it fails.
@@ -84,6 +89,7 @@ class EpisodeCalls(Protocol):
         Args:
             proposal: The attempt's proposal.
             result: The attempt's result.
+            known: Answers of reference drivers that have driven in the loop before. They do not drive again.
             all_drivers: Whether all reference drivers drive in the loop.
 
         Returns:

@@ -15,6 +15,7 @@ from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, reader_of, runner_of
+from sumo_adv.episode.clock import PartsClock
 from sumo_adv.episode.encounter_finder import OUT_OF_REACH, EncounterFinder, Tell
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.learning import BankView, learn
@@ -33,17 +34,17 @@ MAX_ANALYSED_ENCOUNTERS = 4  # encounters that a model is asked about, where tho
 
 def run_episode(
     run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, agents: Agents, bank: MemoryBank,
-    tell: Tell,
+    tell: Tell, clock: PartsClock | None = None,
 ) -> Run:  # fmt: skip
     """Find encounters, attack in them until an attempt succeeds, and learn from them.
 
-    Only wrong use is raised; everything else is an ending.
+    Only wrong use is raised; everything else is an ending. ``clock``: what was done for the run before.
 
     Raises:
         UsageError: Wrong use that shows only in the simulation (an unknown ego, a broken driver class).
         BankError: The bank cannot be read.
     """
-    finder, bank_hash = EncounterFinder(run_input, settings, task, engine, tell), bank.content_hash()
+    finder, bank_hash = EncounterFinder(run_input, settings, task, engine, tell, clock), bank.content_hash()
     try:
         _attack_encounters(finder, settings, task, engine, agents, bank, tell)
     except KeyboardInterrupt:
@@ -126,7 +127,7 @@ def decide(
     Raises:
         ModelError: A language model plays a part and failed.
     """
-    record = replace(record, bandit=prepared.bandit, timing={**record.timing, **prepared.timing})
+    record = replace(record, bandit=prepared.bandit).took(prepared.timing)
     if prepared.known is not None:  # recalled from a similar scene, so no agent is asked
         record, library = replace(record, intents=[prepared.known]), prepared.library
     else:
@@ -184,13 +185,14 @@ def pursue(
         failures = sorted(f"planner {name[:12]}: {why}" for name, why in prepared.predictor.failures.items())
         known = frozenset(entry.label for entry in prepared.library)
         record = replace(done.recorded(record), known_labels=known, notes=[*record.notes, *failures])
-        record = record.took("prediction", prepared.predictor.seconds).took("attempts", done.seconds)
         keep(record)
-    before = BankView.of(prepared, settings, agents, bank)
-    learnt = learn(record, bank, library, settings, prepared.network, prepared.scene.controller)
-    change = before.difference(BankView.of(prepared, settings, agents, bank))
+    after = PartsClock()
+    with after.part("learning"):
+        before = BankView.of(prepared, settings, agents, bank)
+        learnt = learn(record, bank, library, settings, prepared.network, prepared.scene.controller)
+        change = before.difference(BankView.of(prepared, settings, agents, bank))
     notes = [*record.notes, learnt.note] if learnt.note else record.notes
-    record = replace(record, learnt=learnt.success, bank_change=change, notes=notes)
+    record = replace(record, learnt=learnt.success, bank_change=change, notes=notes).took(after.seconds)
     keep(record)
     return record
 
@@ -227,12 +229,15 @@ def attack_once(
     Returns:
         The attempt as the only one. Its ending says whether it meets the goal, or what failed.
     """
-    (result,) = runner.attempt([proposal])
-    attempt = attempt_of(0, "replay", proposal, result, found, settings)
+    done = Refinement(goal=settings.goal)
+    with done.clock.part("attempts"):
+        (result,) = runner.attempt([proposal])
+        attempt = attempt_of(0, "replay", proposal, result, found, settings)
     if asked is not None:
         attempt = Fitting(asked, found, settings).judged(attempt, result, settings.goal)
-    done = Refinement(goal=settings.goal, attempts=[attempt], results=[result])
-    settle_best(done, runner)
+    done.attempts, done.results = [attempt], [result]
+    with done.clock.part("references"):
+        settle_best(done, runner)
     if settings.goal.met(done.attempts[0].verdict):
         done.ending = Ending.GOAL_MET
     done.end_if_all_failed()

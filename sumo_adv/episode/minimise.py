@@ -110,9 +110,12 @@ def minimise_episode(
     runner = runner_of(engine, sandbox, found, settings)
 
     def attempted(p: Proposal) -> tuple[Attempt, AttemptResult]:
-        (result,) = runner.attempt([p])
-        phase = "replay" if not done.attempts else "minimise"
-        attempt = confirmed(attempt_of(len(done.attempts), phase, p, result, found, settings), result, runner)
+        with done.clock.part("attempts"):
+            (result,) = runner.attempt([p])
+            phase = "replay" if not done.attempts else "minimise"
+            attempt = attempt_of(len(done.attempts), phase, p, result, found, settings)
+        with done.clock.part("references"):
+            attempt = confirmed(attempt, result, runner)
         done.attempts.append(attempt)
         done.results.append(result)
         tell("attempt", attempt)
@@ -139,7 +142,7 @@ def minimise_episode(
         f"of {before:.1f} m/s2."
     )
     record = given_attack(done.recorded(record), proposal, "minimised from a manifest").of_attempt(mildest)
-    finder.keep(record.took("prediction", predictor.seconds))
+    finder.keep(record)
     return finder.run(isolation=sandbox.isolation)
 
 

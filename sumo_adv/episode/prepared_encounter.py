@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -10,6 +9,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Intent, LibraryEntry
+from sumo_adv.episode.clock import PartsClock
 from sumo_adv.episode.memory_access import (
     known_casts,
     read_library,
@@ -78,6 +78,16 @@ def prepare(
     With ``recall = scene`` the search starts with a candidate that succeeded in a similar scene. ``stopped``: how many
     calls of each planner ran into a limit in earlier encounters, by hash.
     """
+    clock = PartsClock()
+    with clock.part("prediction"):
+        made = _prepared(found, run_input, settings, task, sandbox, bank, agents, clock, stopped, forecast=forecast)
+    return replace(made, timing=clock.seconds)
+
+
+def _prepared(
+    found: FoundEncounter, run_input: RunInput, settings: Settings, task: Task, sandbox: Sandbox, bank: MemoryBank,
+    agents: Agents | None, clock: PartsClock, stopped: Mapping[str, int] | None, *, forecast: bool,
+) -> PreparedEncounter:  # fmt: skip
     share = settings.per_planner if agents is not None and agents.by_model("modifier") else settings.attempts
     evidence = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
     weights = SearchSettings(proposals=settings.proposals, share=share)
@@ -89,11 +99,10 @@ def prepare(
     log = task.playback
     if settings.tuner == "builtin" and (not predicts or (log is not None and log.tracks is not None)):
         library = [*library, FREE]
-    timing, recalled = dict[str, float](), None
+    recalled = None
     if settings.recall == "scene":
-        began = time.perf_counter()
-        recalled = recall(found, library, bank, selection, settings.limits.limits(), task.ego_driver)
-        timing["recall"] = time.perf_counter() - began
+        with clock.part("recall"):
+            recalled = recall(found, library, bank, selection, settings.limits.limits(), task.ego_driver)
     intent, first = (None, None) if recalled is None else recalled
     known = tuple(compositions(bank)) if settings.adversaries > 1 else ()
     search = AttackSearch(
@@ -103,7 +112,7 @@ def prepare(
     )  # fmt: skip
     teamwork = Teamwork(settings.adversaries, task.colliders, known) if settings.adversaries > 1 else None
     return PreparedEncounter(
-        found, predictor, library, scene, search, intent, selection, teamwork, run_input.name, bandit, timing
+        found, predictor, library, scene, search, intent, selection, teamwork, run_input.name, bandit
     )
 
 
@@ -113,32 +122,43 @@ def analyze(
 ) -> tuple[EncounterRecord, Sequence[LibraryEntry]]:  # fmt: skip
     """Return the record with the intents of an encounter, and the library with retrieved or generated planners for new
     intents. Raises ModelError: a language model plays a part and failed."""
-    began = time.perf_counter()
-    situations, library = prepared.found.situations, prepared.library
+    situations, library, clock = prepared.found.situations, prepared.library, PartsClock()
     try:
-        intents = agents.analyze(
-            prepared.search, situations, library, selection=prepared.selection,
-            remembered=remembered(bank, library, prepared.scene), teamwork=prepared.teamwork,
-        )  # fmt: skip
-        record = _with_request(replace(record, intents=intents), settings, agents)
-        if agents.by_model("analyzer") and settings.tuner == "builtin" and settings.ask is None:
-            chosen = {(i.bv, i.label) for i in intents}
-            others = (i for i in prepared.search.ranking(library) if (i.bv, i.label) not in chosen)
-            record = replace(record, intents=[*intents, *others])
-        retrieved = retrieve(record.intents, agents, situations, library, bank)
-        record = replace(record, intents=retrieved.intents).took("retrieval", retrieved.seconds)
+        with clock.part("analyzer"):
+            intents = agents.analyze(
+                prepared.search, situations, library, selection=prepared.selection,
+                remembered=remembered(bank, library, prepared.scene), teamwork=prepared.teamwork,
+            )  # fmt: skip
+            record = _with_request(replace(record, intents=intents), settings, agents)
+            if agents.by_model("analyzer") and settings.tuner == "builtin" and settings.ask is None:
+                chosen = {(i.bv, i.label) for i in intents}
+                others = (i for i in prepared.search.ranking(library) if (i.bv, i.label) not in chosen)
+                record = replace(record, intents=[*intents, *others])
+            retrieved = retrieve(record.intents, agents, situations, library, bank)
+            record = replace(record, intents=retrieved.intents)
+        clock.move(retrieved.seconds, "analyzer", "retrieval")
     finally:
-        record = record.took("analyzer", time.perf_counter() - began)
+        record = record.took(clock.seconds)
         keep(record)
-    entries, labels = retrieved.library, {i.label for i in record.intents}
-    record = replace(record, casts=known_casts(agents.casts, bank))
-    if entries != library or any(composed(e) and e.label in labels for e in entries):
+    clock = PartsClock()
+    with clock.part("prediction"):
+        record = replace(record, casts=known_casts(agents.casts, bank))
+        _draw_from(retrieved.library, record, prepared, settings, agents)
+    return record.took(clock.seconds), retrieved.library
+
+
+def _draw_from(
+    entries: Sequence[LibraryEntry], record: EncounterRecord, prepared: PreparedEncounter, settings: Settings,
+    agents: Agents,
+) -> None:  # fmt: skip
+    """Have the search draw from what the analyzer chose: its library, and the intents and casts of the record."""
+    labels = {i.label for i in record.intents}
+    if entries != prepared.library or any(composed(e) and e.label in labels for e in entries):
         prepared.search.extend([e for e in entries if not composed(e) or e.label in labels])
     if settings.ask is not None:
         prepared.search.confine({(i.bv, i.label) for i in record.intents})
     if record.casts and settings.tuner == "builtin":
         prepared.search.add_casts(record.casts, agents.player("analyzer"))
-    return record, entries
 
 
 def _with_request(record: EncounterRecord, settings: Settings, agents: Agents) -> EncounterRecord:

@@ -16,6 +16,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal, Verdict
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, checked, confirmed, observed_motion
+from sumo_adv.episode.clock import PartsClock
 from sumo_adv.episode.neighbours import Robustness, holds, neighbours
 from sumo_adv.episode.order import best_index, worth
 from sumo_adv.episode.repairs import Repairs
@@ -51,7 +52,7 @@ class Refinement:
     results: list[AttemptResult] = field(default_factory=list)
     ending: Ending = Ending.ATTEMPTS_EXHAUSTED
     reason: str = ""
-    seconds: float = 0.0
+    clock: PartsClock = field(default_factory=PartsClock)  # how long each part took
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
     robust: dict[int, Robustness] = field(default_factory=dict)
@@ -80,11 +81,12 @@ class Refinement:
     def recorded(self, record: EncounterRecord) -> EncounterRecord:
         """Return the record of an encounter with these attempts."""
         readings = {} if self.fitting is None else dict(self.fitting.readings)
-        return replace(
+        record = replace(
             record, goal=self.goal, attacked=True, attempts=tuple(self.attempts), results=tuple(self.results),
             successes=tuple(self.successes), robust=dict(self.robust), readings=readings,
             first_success_seconds=self.first_success_seconds, ending=self.ending, reason=self.reason,
         )  # fmt: skip
+        return record.took(self.clock.seconds)
 
 
 def settle_best(done: Refinement, runner: Attempts) -> None:
@@ -114,6 +116,11 @@ class Refiner:
 
     def run(self, intents: Sequence[Intent], done: Refinement) -> None:
         """Run attempts until one succeeds, and keep them in ``done``; ``intents``: as the analyzer ranked them."""
+        with done.clock.part("prediction"):
+            self._search_attack(intents, done)
+
+    def _search_attack(self, intents: Sequence[Intent], done: Refinement) -> None:
+        """Propose candidates and try them; what is no other part of the clock is choosing them."""
         began = time.perf_counter()
         optimizer = self.optimizer(intents)
         while len(done.attempts) < self._settings.attempts:
@@ -127,7 +134,9 @@ class Refiner:
             if not plans:
                 done.reason = self._why_ended(optimizer, done)
                 break
-            if self._try(plans, done, began, optimizer):
+            with done.clock.part("attempts"):
+                ended = self._try(plans, done, began, optimizer)
+            if ended:
                 break
             if len(done.attempts) >= BROKEN_ATTEMPTS and done.all_ended("crashed"):
                 break
@@ -136,11 +145,11 @@ class Refiner:
         if done.successes:
             done.reason = ""
         done.end_if_all_failed()
-        settle_best(done, self._runner)
+        with done.clock.part("references"):
+            settle_best(done, self._runner)
         best = done.best
         if done.successes and best is not None and best not in done.robust and self._runner.repeats:
             self._try_neighbours(done, best)
-        done.seconds = time.perf_counter() - began
 
     def optimizer(self, intents: Sequence[Intent]) -> Optimizer:
         """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its
@@ -164,7 +173,8 @@ class Refiner:
         if not done.attempts and self._favourites:
             return self._favourites[:left]
         if isinstance(optimizer, AttackSearch):
-            self._modify(optimizer, done)
+            with done.clock.part("modifier"):
+                self._modify(optimizer, done)
         size = FAVOURITE_INTENTS if self._agents.undecided else 1
         budget = min(
             GENERATION_ATTEMPTS
@@ -181,7 +191,8 @@ class Refiner:
         """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(done.attempts), proposal, result)
-            attempt = checked(attempt, result, self._runner, done.goal, done.level)
+            with done.clock.part("references"):
+                attempt = checked(attempt, result, self._runner, done.goal, done.level)
             attempt = _fitted(done, attempt, result)
             done.attempts.append(attempt)
             done.results.append(result)
@@ -210,10 +221,11 @@ class Refiner:
         random, dt = Random(self._settings.seed), self._settings.step_length
         attempt, result = done.attempts[index], done.results[index]
         near = neighbours(attempt, result, random, dt, displaces=self._runner.displaces)
-        tried = [
-            _fitted(done, self._attempt(len(done.attempts), p, r), r, read=False)
-            for p, r in zip(near, self._runner.attempt(near), strict=True)
-        ]
+        with done.clock.part("robustness"):
+            tried = [
+                _fitted(done, self._attempt(len(done.attempts), p, r), r, read=False)
+                for p, r in zip(near, self._runner.attempt(near), strict=True)
+            ]
         done.robust[index] = Robustness(sum(holds(a.verdict, done.goal) for a in tried), len(tried))
         return [(p, a.verdict) for p, a in zip(near, tried, strict=True)]
 

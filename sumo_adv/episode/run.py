@@ -141,9 +141,9 @@ class EncounterRecord:
         """The same record, in which another attempt counts."""
         return replace(self, chosen=index)
 
-    def took(self, part: str, seconds: float) -> EncounterRecord:
-        """The record with more time spent on a part."""
-        return replace(self, timing={**self.timing, part: self.timing.get(part, 0.0) + seconds})
+    def took(self, seconds: Mapping[str, float]) -> EncounterRecord:
+        """Return the record with more time spent on parts: ``seconds`` by part [s]."""
+        return replace(self, timing=seconds_by_part(self.timing, seconds))
 
     def without_states(self) -> EncounterRecord:
         """The record without recorded states, which take a megabyte for each attempt."""

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -81,6 +82,7 @@ class EpisodeWorker(EpisodeCalls):
         self._passed: list[str] = []
         self._encounter: OpenEncounter
         self._timed: TimedEgo | None = None  # times the answers of the ego's driver
+        self._unattacked_seconds = 0.0
         self._moved = False  # a branch ran in place: load the simulation again before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -162,6 +164,9 @@ class EpisodeWorker(EpisodeCalls):
         for _ in range(self._drive.within(self._settings.steps(COOL_DOWN_S))):
             self._drive.tick()
 
+    def unattacked_seconds(self) -> float:
+        return self._unattacked_seconds
+
     def prefix(self) -> Prefix:
         self._at_trigger()
         return Prefix(self._drive.recording.snapshots[: self._trigger_step], dict(self._drive.simulation.fleet.sizes))
@@ -180,7 +185,9 @@ class EpisodeWorker(EpisodeCalls):
     def _crashed(self, why: str) -> AttemptResult:
         return AttemptResult(Driven("crashed", why), None, self._encounter.found.time)
 
-    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+    def references(
+        self, proposal: Proposal, result: AttemptResult, known: Mapping[str, str], all_drivers: bool
+    ) -> Preventability | None:
         self._at_trigger()
         verdict, case = result.verdict, self._encounter.case(proposal, result)
         if case is None or verdict is None or verdict.contact_time is None or not verdict.counts:
@@ -189,9 +196,10 @@ class EpisodeWorker(EpisodeCalls):
         avoiding = [name for name in REFERENCE_DRIVERS if kinematic.answers.get(name) == AVOIDS]
         first = [name for name in avoiding if name == "cc_human"]
         others = [name for name in avoiding if name in COMPETENT and name not in first]
-        in_loop: dict[str, str] = {}
-        for names in (avoiding,) if all_drivers else (first, others):
-            if AVOIDS in in_loop.values() or not names:
+        in_loop = dict(known)
+        for wanted in (avoiding,) if all_drivers else (first, others):
+            names = [name for name in wanted if name not in in_loop]
+            if not names or (AVOIDS in in_loop.values() and not all_drivers):
                 continue
             plan = manoeuvre_plan(case, verdict.contact_time) if MANOEUVRE in names else None
             asked = [name for name in names if name != MANOEUVRE or plan is not None]
@@ -308,7 +316,9 @@ class EpisodeWorker(EpisodeCalls):
     def _baseline(self, seconds: float) -> UnattackedMotion:
         drive, settings = self._drive, self._settings
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
+        began = time.perf_counter()
         branch: UnattackedBranch = self._branch([partial(self._unattacked, settings.steps(seconds))])[0]
+        self._unattacked_seconds += time.perf_counter() - began
         tracks = tracks_of([*before, *branch.snapshots], branch.sizes, drive.roles(), settings.step_length)
         return UnattackedMotion({t.id: t for t in tracks}, branch.snapshots, branch.sizes, branch.looks)
 

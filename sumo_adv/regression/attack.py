@@ -92,11 +92,15 @@ def attack(
         proposal = evolution.propose()
         if proposal is None:
             break
-        (result,) = runner.attempt([proposal])
-        attempt = attempt_of(len(done.attempts), "neighbour", proposal, result, encounter, settings)
-        done.attempts.append(checked(attempt, result, runner, settings.goal, Level.COLLISION))
+        with done.clock.part("attempts"):
+            (result,) = runner.attempt([proposal])
+            attempt = attempt_of(len(done.attempts), "neighbour", proposal, result, encounter, settings)
+        with done.clock.part("references"):
+            attempt = checked(attempt, result, runner, settings.goal, Level.COLLISION)
+        done.attempts.append(attempt)
         done.results.append(result)
-    settle_best(done, runner)
+    with done.clock.part("references"):
+        settle_best(done, runner)
     return done, came
 
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import MAX_ADVERSARIES, Attempt, plain_acceleration
+from sumo_adv.episode.clock import PartsClock
 from sumo_adv.episode.run import EncounterRecord, Run
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.report.outcome import manifest, number, outcome
+from sumo_adv.report.outcome import manifest, number, outcome, timing
 from sumo_adv.report.staging import RunFolder
 from sumo_adv.report.tables import (
     SERIES_HEADER,
@@ -56,17 +55,31 @@ def write_run(folder: RunFolder, run: Run, *, figure: bool = True) -> dict[str, 
     Raises:
         OSError: A file cannot be written.
     """
-    return _write(folder, run, run.best, figure=figure)
+    return _write(folder, run, run.best, PartsClock(), figure=figure)
 
 
-def _write(folder: RunFolder, run: Run, record: EncounterRecord | None, *, figure: bool) -> dict[str, Any]:
-    """Write the files of a record, and a subfolder for each further kind of attack in it."""
+def _write(
+    folder: RunFolder, run: Run, record: EncounterRecord | None, clock: PartsClock, *, figure: bool
+) -> dict[str, Any]:
+    """Write the files of a record, and a subfolder for each further kind of attack in it.
+
+    ``outcome.json`` comes last, because it says how long the others took.
+    """
+    with clock.part("files"):
+        result = _write_all_but_outcome(folder, run, record, clock, figure=figure)
+    result["timing"] = timing(run, record, clock.seconds)
+    (folder.stage / "outcome.json").write_text(json_text(result, 2), encoding="utf-8")
+    return result
+
+
+def _write_all_but_outcome(
+    folder: RunFolder, run: Run, record: EncounterRecord | None, clock: PartsClock, *, figure: bool
+) -> dict[str, Any]:
     stage = folder.stage
     inputs = _copy_inputs(run.task, stage / "inputs")
-    began = perf_counter()
-    findings = None if record is None else findings_on(run, record)
-    seconds = {"verdict": perf_counter() - began}
-    result = full_outcome(run, record, findings, seconds)
+    with clock.part("verdict"):
+        findings = None if record is None else findings_on(run, record)
+    result = full_outcome(run, record, findings)
     (stage / "manifest.json").write_text(json_text(manifest(run, record, inputs), 2), encoding="utf-8")
     _write_attempts(stage / "attempts.csv.gz", run)
     if run.warnings:
@@ -79,38 +92,35 @@ def _write(folder: RunFolder, run: Run, record: EncounterRecord | None, *, figur
         if record.best is not None and figure:
             picture = stage / "encounter.png"
             try:
-                _figure(picture, run, record, record.best, record.prefix)
+                with clock.part("pictures"):
+                    _figure(picture, run, record, record.best, record.prefix)
             except OSError:
                 raise
             except Exception as error:  # odd values that no plotting library accepts: keep the run without its picture
                 why = f"{picture.name} could not be drawn ({type(error).__name__}: {error})."
                 result["notes"] = [*result["notes"], why]
-    (stage / "outcome.json").write_text(json_text(result, 2), encoding="utf-8")
     for success in result["successes"]:
         if record is not None and success["folder"] is not None:
             attack_stage = stage / success["folder"]
             attack_stage.mkdir(parents=True)
             inside = RunFolder(folder.target / success["folder"], attack_stage)
-            _write(inside, run, record.of_attempt(success["attempt"]), figure=figure)
+            _write(inside, run, record.of_attempt(success["attempt"]), clock, figure=figure)
     return result
 
 
-def full_outcome(
-    run: Run, record: EncounterRecord | None, findings: Findings | None, seconds: Mapping[str, float] | None = None
-) -> dict[str, Any]:
+def full_outcome(run: Run, record: EncounterRecord | None, findings: Findings | None) -> dict[str, Any]:
     """Assemble the content of ``outcome.json`` without writing anything.
 
     Args:
         run: The run.
         record: The record that counts; None if no encounter does.
         findings: The findings on the attempt that counts; None if there is none.
-        seconds: Times of parts that the run did not measure itself [s].
 
     Returns:
         The content of ``outcome.json``.
     """
     raw = None if record is None else raw_figures(record, run.settings)
-    return outcome(run, record, raw, further_keys(findings), {} if findings is None else findings.realism, seconds)
+    return outcome(run, record, raw, further_keys(findings), {} if findings is None else findings.realism)
 
 
 def _copy_inputs(task: Task, folder: Path) -> dict[Path, str]:

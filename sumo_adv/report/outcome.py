@@ -25,7 +25,7 @@ from sumo_adv.datatypes import (
     plain_acceleration,
 )
 from sumo_adv.episode.assessment import motion_of
-from sumo_adv.episode.run import EncounterRecord, Request, Run
+from sumo_adv.episode.run import EncounterRecord, Request, Run, seconds_by_part
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.outcome_schema import OUTCOME_SCHEMA
@@ -43,7 +43,7 @@ EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took pa
 
 def outcome(
     run: Run, record: EncounterRecord | None, raw: Mapping[str, Any] | None, further: Mapping[str, Any],
-    realism: Mapping[str, Any], seconds: Mapping[str, float] | None = None,
+    realism: Mapping[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
     """Assemble the content of ``outcome.json``. Times are in s, distances in m; an infinite value is null.
 
@@ -53,7 +53,6 @@ def outcome(
         raw: The figures of the unattacked run over the window of the attempt that counts; None if unknown.
         further: Further keys of the verdict on the attempt that counts.
         realism: The content of the key ``realism``.
-        seconds: Times of parts that the run did not measure itself [s].
 
     Returns:
         The content.
@@ -63,8 +62,6 @@ def outcome(
     encounter = None if record is None else record.found
     best = None if record is None else record.best
     robust = None if record is None else record.robustness
-    times = {name: round(each, 4) for name, each in {**run.timing, **(seconds or {})}.items()}
-    first = None if record is None else record.first_success_seconds
     tried = [each for each in run.records if each.left and each.attacked]
     return {
         "schema": OUTCOME_SCHEMA, "ending": str(run.ending),
@@ -94,12 +91,29 @@ def outcome(
         "named_scenario": None if best is None else _scenario(best),
         "ego_actions": None if record is None else _ego_actions(record), "realism": dict(realism),
         "driver_time": None if run.driver_time is None else run.driver_time.as_data(),
-        "timing": {**times, "first_success": number(first)}, "llm": _llm(run.agents, attempts_of(record)),
+        "timing": timing(run, record, {}), "llm": _llm(run.agents, attempts_of(record)),
         "sandbox": run.isolation, "forked": run.forked, "learnt": run.learnt,
         "bank_change": run.bank_change or None, "notes": run.notes,
         "warnings": [asdict(kind) for kind in kinds_of(run.warnings)],
         "asked": _asked(run.request if record is None else record.request, record, settings),
     }  # fmt: skip
+
+
+def timing(run: Run, record: EncounterRecord | None, writing: Mapping[str, float]) -> dict[str, float | None]:
+    """Return the block ``timing`` of ``outcome.json``: how long each part took, and all of them together [s].
+
+    ``first_success`` is no part: it is the time from the first attempt to the first success.
+
+    Args:
+        run: The run.
+        record: The record that counts; None if no encounter does.
+        writing: How long each part of writing took [s].
+    """
+    spent = seconds_by_part(run.timing, writing)
+    if "total" in spent:
+        spent["total"] += sum(writing.values())
+    first = None if record is None else record.first_success_seconds
+    return {**{part: round(each, 4) for part, each in spent.items()}, "first_success": number(first)}
 
 
 def _scenario(attempt: Attempt) -> dict[str, Any] | None:

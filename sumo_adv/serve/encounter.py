@@ -233,7 +233,9 @@ class LiveAttempts:
             else:
                 yield self._one(self.session, proposal)
 
-    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+    def references(
+        self, proposal: Proposal, result: AttemptResult, known: Mapping[str, str], all_drivers: bool
+    ) -> Preventability | None:
         """Return None: other drivers cannot repeat what a live client has driven."""
         return None
 
