@@ -269,20 +269,21 @@ def hunt(
     until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful); if it
     is given, only collisions of this level or a higher one are failures.
     cover: give time to the named scenarios that were met least, otherwise to inputs that bring new failures.
-    deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called after each
-    round. stopping: called when Ctrl-C is pressed, with True where it is pressed again. note: called at the start with
-    each sentence on what of the inputs is not kept, as options of a .sumocfg.
+    deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called as
+    episodes end. stopping: called when Ctrl-C is pressed, with True if it is pressed again. note: called at the start
+    with each sentence on what of the inputs is not kept, as options of a .sumocfg.
 
     Raises:
         UsageError: bad input or settings, or the folder ``out`` holds something else.
         BankError: the bank cannot be opened. SumoAdvError: no episode can be run.
     """
+    from sumo_adv.campaigns.local import Crew
     from sumo_adv.campaigns.plan import make_plan
     from sumo_adv.hunting.failures import table
-    from sumo_adv.hunting.hunt import MAX_ENCOUNTER_S, Hunt
+    from sumo_adv.hunting.hunt import Hunt
 
-    def campaign(plan: CampaignPlan, orders: Orders) -> Summary:
-        return run_campaign(plan, orders, Teller(None, stopping))
+    def campaign(plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
+        return run_campaign(plan, orders, Teller(lambda _, job, row: finished(row), stopping))
 
     asked = settings.get("until")
     settings.setdefault("until", "valid" if ego == "careful" else "serious")
@@ -298,9 +299,11 @@ def hunt(
             note(sentence)
     orders = orders_of(plan, out, workers, deadline, ray=ray)
     at_once = orders.pace if ray is None else replace(orders.pace, workers=cluster_processors(ray))
-    longest = float(settings.get("seconds") or MAX_ENCOUNTER_S)
-    hunted = Hunt(plan, replace(orders, pace=at_once), campaign, minutes, distinct, goal, cover=cover, longest=longest)
-    found = hunted.run(tell or (lambda _: None))
+    longest = None if settings.get("seconds") is None else float(settings["seconds"])
+    with Crew() as crew:
+        orders = replace(orders, pace=at_once, crew=crew if ray is None else None)
+        hunted = Hunt(plan, orders, campaign, minutes, distinct, goal, cover=cover, longest=longest)
+        found = hunted.run(tell or (lambda _: None))
     rows = table(found.failures, found.folder)
     return HuntResult(found, rows, _index(found, orders.pace.workers) if pages and rows else None)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from sumo_adv.campaigns.local import LocalWorkers, Stop, WorkerPace
+from sumo_adv.campaigns.local import Crew, LocalWorkers, Stop, WorkerPace
 from sumo_adv.campaigns.plan import CampaignPlan
 from sumo_adv.campaigns.results import (
     LEARNT_FILE,
@@ -79,6 +79,7 @@ class Orders:
         retry_failed: Whether failed episodes are run again.
         parquet: Whether the table is also written as Parquet.
         ray: The address of a Ray cluster; None for this machine.
+        crew: The workers of this machine that stay from one batch to the next; None for workers of this batch alone.
     """
 
     out: Path
@@ -89,6 +90,7 @@ class Orders:
     retry_failed: bool = False
     parquet: bool = False
     ray: str | None = None
+    crew: Crew | None = None
 
 
 @dataclass
@@ -218,10 +220,14 @@ def _prepare(
     document = {**document, "bank_hash": summary.bank_hash}
     write_text(store.folder / PLAN_FILE, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     place = orders.bank if plan.learn is Learn.DURING else store.bank
-    return WorkerSetup(store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts)
+    return WorkerSetup(
+        store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts, orders.pace.until
+    )  # fmt: skip
 
 
 def _workers(setup: WorkerSetup, orders: Orders, scratch: Path, store: Store, stop: Stop) -> Workers:
+    if orders.crew is not None:
+        return orders.crew.workers(setup, orders.pace, store.fail, stop)
     if orders.ray is None:
         return LocalWorkers(setup, orders.pace, scratch, store.fail, stop)
     from sumo_adv.campaigns.cluster import ClusterWorkers

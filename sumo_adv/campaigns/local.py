@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -13,10 +14,11 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from sumo_adv.campaigns.results import Done, EpisodeJob
 from sumo_adv.errors import SumoAdvError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES, deferred_interrupts, environment, exit_in_words
 
 MAX_EPISODE_TRIES = 2  # for an episode whose worker crashes or hangs, or whose simulation fails
@@ -24,6 +26,7 @@ MAX_FAILED_STARTS = 3  # consecutive workers that may die before they are ready
 WORKER_START_TIMEOUT_S = 120.0
 POLL_INTERVAL_S = 0.25  # between checks of deadlines, results, messages and Ctrl-C
 MAX_KEPT_OUTPUT_CHARACTERS = 20_000  # kept of a dead worker's output
+OVERTIME_S = 8.0  # after the end of the work, for the episodes that run to end; after that they are killed
 
 
 @dataclass
@@ -47,11 +50,13 @@ class WorkerPace:
         workers: The number of workers.
         deadline: The maximum time of an episode [s].
         recycle: The number of episodes after which a worker is replaced.
+        until: When the work ends, as ``time.time()`` [s]: no job begins after that. None if it ends with its jobs.
     """
 
     workers: int
     deadline: float
     recycle: int
+    until: float | None = None
 
 
 @dataclass
@@ -62,6 +67,7 @@ class _Slot:
     connection: Connection
     folder: Path
     until: float
+    setup: Any
     ready: bool = False
     job: EpisodeJob | None = None
     seen: Any = None
@@ -101,6 +107,7 @@ class LocalWorkers:
         seen: Returns how far a job is, and the time in it that does not count [s]. The job's deadline is extended when
             it gets further.
         hangs: The maximum number of tries of a job that is not done in time.
+        kept: The workers of a crew, which outlive this object. None if they end with it.
     """
 
     setup: Any
@@ -111,11 +118,15 @@ class LocalWorkers:
     make: Callable[[Any], AbstractContextManager[Any]] | None = None
     seen: Callable[[Any], tuple[Any, float]] = lambda job: (None, 0.0)
     hangs: int = MAX_EPISODE_TRIES
+    kept: list[_Slot] | None = None
     _slots: list[_Slot] = field(default_factory=list)
     _tried: dict[str, int] = field(default_factory=dict)
     _again: deque[EpisodeJob] = field(default_factory=deque)
     _died: int = 0
-    _made: int = 0
+
+    def __post_init__(self) -> None:
+        if self.kept is not None:
+            self._slots = self.kept
 
     def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
         """Run all jobs, each at most ``MAX_EPISODE_TRIES`` times.
@@ -128,50 +139,57 @@ class LocalWorkers:
             SumoAdvError: The workers do not start, or a worker says that no job can be run.
         """
         waiting = jobs if isinstance(jobs, deque) else deque(jobs)
-        while not self.stop.now:
+        while not (self.stop.now or self._past(OVERTIME_S)):
             self._staff(len(waiting) + len(self._again))
             self._assign(waiting)
-            if not any(s.job for s in self._slots) and (self.stop.drain or not (waiting or self._again)):
+            if not any(s.job for s in self._slots) and (self._drains or not (waiting or self._again)):
                 break
             self._listen(told)
             self._watch(told)
 
     def close(self) -> None:
-        """Kill all workers."""
-        for slot in self._slots:
-            slot.kill()
-        self._slots.clear()
+        """Kill all workers; of a crew, those that have not finished their jobs."""
+        for slot in [s for s in self._slots if self.kept is None or s.job is not None]:
+            self._dismiss(slot)
+
+    @property
+    def _drains(self) -> bool:
+        return self.stop.drain or self._past(0.0)
+
+    def _past(self, seconds: float) -> bool:
+        """Return whether the work should have ended this long ago."""
+        return self.pace.until is not None and time.time() >= self.pace.until + seconds
 
     def _staff(self, waiting: int) -> None:
         """Start missing workers, at most one for each job."""
         busy = sum(s.job is not None for s in self._slots)
-        target = min(self.pace.workers, busy + (0 if self.stop.drain else waiting))
+        target = min(self.pace.workers, busy + (0 if self._drains else waiting))
         while len(self._slots) < target:
             self._slots.append(self._start())
 
     def _start(self) -> _Slot:
         context = multiprocessing.get_context("spawn")
-        self._made += 1
-        folder = self.scratch / f"worker-{self._made}"
-        folder.mkdir()
+        folder = Path(tempfile.mkdtemp(prefix="worker-", dir=self.scratch))
         own_end, worker_end = context.Pipe()
         variables = {**SINGLE_THREAD_VARIABLES, "TMPDIR": str(folder)}
         process = context.Process(target=_work, args=(worker_end, self.setup, folder / "log", self.make))
         with environment(variables), deferred_interrupts():
             process.start()
         worker_end.close()
-        return _Slot(process, own_end, folder, time.monotonic() + WORKER_START_TIMEOUT_S)
+        return _Slot(process, own_end, folder, time.monotonic() + WORKER_START_TIMEOUT_S, self.setup)
 
     def _assign(self, waiting: deque[EpisodeJob]) -> None:
         """Give jobs to free workers."""
         for slot in self._slots:
-            if self.stop.drain or not (waiting or self._again):
+            if self._drains or not (waiting or self._again):
                 return
             if slot.ready and slot.job is None:
                 slot.job = self._again.popleft() if self._again else waiting.popleft()
                 slot.seen, slot.until = None, time.monotonic() + self.pace.deadline
+                last, renewed = self._tried.get(slot.job.id, 0) + 1 == MAX_EPISODE_TRIES, slot.setup is not self.setup
+                slot.setup = self.setup
                 with suppress(OSError):  # it may have died, which ``_listen`` finds
-                    slot.connection.send((slot.job, self._tried.get(slot.job.id, 0) + 1 == MAX_EPISODE_TRIES))
+                    slot.connection.send((slot.job, last, self.setup if renewed else None))
 
     def _listen(self, told: Callable[[EpisodeJob, Done], None]) -> None:
         """Receive the workers' messages."""
@@ -246,6 +264,31 @@ class LocalWorkers:
         slot.kill()
 
 
+class Crew:
+    """Worker processes that stay from one batch to the next; a context manager.
+
+    A worker takes seconds to start, which many small batches would pay again and again.
+    """
+
+    def __init__(self) -> None:
+        self._slots: list[_Slot] = []
+        self._scratch: tempfile.TemporaryDirectory[str]
+
+    def __enter__(self) -> Self:
+        self._scratch = tempfile.TemporaryDirectory(prefix=scratch_prefix())
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for slot in self._slots:
+            slot.kill()
+        self._slots.clear()
+        self._scratch.cleanup()
+
+    def workers(self, setup: Any, pace: WorkerPace, fail: Callable[[Any, str, str], Done], stop: Stop) -> LocalWorkers:
+        """Return what runs the jobs of a batch on these processes; see :class:`LocalWorkers`."""
+        return LocalWorkers(setup, pace, Path(self._scratch.name), fail, stop, kept=self._slots)
+
+
 def _work(
     connection: Connection, setup: Any, log: Path, make: Callable[[Any], AbstractContextManager[Any]] | None = None
 ) -> None:
@@ -266,7 +309,9 @@ def _work(
         with (make or Runner)(setup) as runner:
             connection.send("ready")
             while True:
-                job, last = connection.recv()
+                job, last, renewed = connection.recv()
+                if renewed is not None:
+                    runner.renew(renewed)
                 connection.send(runner.run(job, last=last))
     except EOFError:
         return

@@ -134,6 +134,7 @@ class WorkerSetup:
         variants: The settings of each variant, as data.
         figures: Whether ``encounter.png`` is drawn.
         parts: The functions that load, run and write an episode.
+        until: When episodes end, as ``time.time()`` [s]; None if they end when they are done.
     """
 
     runs: Path
@@ -142,6 +143,7 @@ class WorkerSetup:
     variants: Sequence[Mapping[str, Any]]
     figures: bool
     parts: CampaignParts
+    until: float | None = None
 
 
 OUTCOME_FILE, TRACEBACK_FILE, LEARNT_FILE = "outcome.json", "traceback.txt", "learnt.json"

@@ -7,8 +7,10 @@ written into the bank at the end in the plan's order.
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
+import time
 import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -209,6 +211,12 @@ class Runner(WarmProcesses):
             if self._opened is not None:
                 self._opened.close()
 
+    def renew(self, setup: WorkerSetup) -> None:
+        """Go on with the episodes of another batch."""
+        if self._opened is not None:
+            self._opened.close()
+        self._setup, self._parts, self._opened, self._stamp = setup, setup.parts, None, 0
+
     def run(self, job: EpisodeJob, *, last: bool) -> Done:
         """Run one episode and put its folder in its place.
 
@@ -251,7 +259,9 @@ class Runner(WarmProcesses):
                 self._parts.open_agents(settings, self._sandboxes.of(settings), recorded) as agents,
                 self._engine.episode() as engine,
             ):
-                run = run_episode(run_input, settings, task, engine, agents, bank, lambda *_: None, clock)
+                until = self._setup.until
+                within = math.inf if until is None else until - time.time()
+                run = run_episode(run_input, settings, task, engine, agents, bank, lambda *_: None, clock, within)
                 log = engine.log.said() if run.ending is Ending.SIMULATION_FAILED else ""
             if run.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ SCREEN_COLUMNS: dict[str, Literal["left", "right"]] = {
     "rank": "right", "level": "left", "delta-v": "right", "hit on": "left", "times": "right", "attack and cause": "left"
 }  # fmt: skip
 SCENARIO_NAME_WIDTH = 54  # characters of a scenario's name on the screen
+FIRST_LINE_S = 20.0  # after which a line says that the first encounter is still attacked
+PARTS_SHOWN = 4  # parts of a hunt's time that are named
 RULE_BREAKERS = ("adversary", "ego", "both")
 DIFFERING_COLUMNS = ("intent", "speed_band", "cause", "seed", "adversary")
 """Columns of which rows that read alike say those that differ."""
@@ -111,13 +114,15 @@ def hunt(
 
     quiet = output.as_json
     if not quiet:
-        typer.echo(f"Hunting for {attack.minutes:g} min; a line follows after each round of encounters.")
+        typer.echo(f"Hunting for {attack.minutes:g} min; a line follows as encounters end.")
+    lines = _Lines(attack.minutes, quiet=quiet)
     found = hunted(
         given, ego=ego, minutes=attack.minutes, distinct=attack.distinct, out=output.out or Path("runs") / "hunt",
         **asdict(search), **asdict(running), settings_file=settings_file, pages=not output.no_pages,
-        tell=None if quiet else _tell, stopping=_stopping, note=None if quiet else typer.echo,
+        tell=None if quiet else lines.tell, stopping=_stopping, note=None if quiet else typer.echo,
         **named_settings(attack),
     )  # fmt: skip
+    lines.end()
     if quiet:
         typer.echo(json.dumps(_document(found.found, found.rows)))
     else:
@@ -131,6 +136,7 @@ def _document(found: Found, rows: list[dict[str, Any]]) -> dict[str, Any]:
         "folder": str(found.folder), "ended": found.ended, "seconds": round(found.seconds, 1),
         "encounters": found.encounters, "attempts": found.attempts, "lost": list(found.lost), "failures": rows,
         "driver_time": {**found.driver_time.as_data(), "of": round(found.episode_seconds, 1)},
+        "spent": {part: round(seconds, 1) for part, seconds in found.spent.items()},
         "left": found.left.as_data(), "scenarios": [row.cells() for row in found.scenarios],
     }  # fmt: skip
 
@@ -139,6 +145,28 @@ def _stopping(now: bool) -> None:
     from sumo_adv.cli.progress import stopping_words
 
     typer.echo(stopping_words(now), err=True)
+
+
+class _Lines:
+    """Prints how far a hunt is. The first line comes after ``FIRST_LINE_S`` s even if no encounter has ended."""
+
+    def __init__(self, minutes: float, *, quiet: bool) -> None:
+        self._minutes = minutes
+        self._timer = threading.Timer(FIRST_LINE_S, self._nothing_yet)
+        self._timer.daemon = True
+        if not quiet:
+            self._timer.start()
+
+    def _nothing_yet(self) -> None:
+        left = self._minutes - FIRST_LINE_S / 60
+        typer.echo(f"{left:5.1f} min left: the first encounters are being attacked.")
+
+    def tell(self, progress: HuntProgress) -> None:
+        self.end()
+        _tell(progress)
+
+    def end(self) -> None:
+        self._timer.cancel()
 
 
 def _tell(progress: HuntProgress) -> None:
@@ -188,6 +216,10 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     typer.echo(f"What is left: {found.left.words}.")
     if found.driver_time.calls:
         typer.echo(found.driver_time.words(found.episode_seconds))
+    if spent := sorted(found.spent.items(), key=lambda part: -part[1]):
+        total = sum(found.spent.values())
+        most = ", ".join(f"{part} {100 * seconds / total:.0f} %" for part, seconds in spent[:PARTS_SHOWN])
+        typer.echo(f"The workers' {total:.0f} s: {most}.")
     _show_scenarios(found)
     for sentence in said_of(kinds_below(found.folder)):
         typer.echo(sentence)

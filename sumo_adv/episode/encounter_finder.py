@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -36,6 +37,7 @@ class EncounterFinder:
         stop: Why there is no further encounter; None while there may be one.
         forked: Whether attempts are forks of the simulation; known once the first encounter was looked for.
         stopped: How many calls of each planner ran into a limit in predictions, by the planner's hash.
+        ends_at: When the run should end, as ``time.perf_counter()`` [s].
         clock: How long the parts took that belong to no record: what came before, the start, and the search.
     """
 
@@ -47,8 +49,10 @@ class EncounterFinder:
         engine: EpisodeEngine,
         tell: Tell,
         clock: PartsClock | None = None,
+        ends_at: float = math.inf,
     ) -> None:
-        """Find encounters of a task; nothing is simulated yet."""
+        """Find encounters of a task until ``ends_at``; nothing is simulated yet."""
+        self.ends_at = ends_at
         self._run_input, self._settings, self._task = run_input, settings, task
         self._engine, self._tell, self._began = engine, tell, time.perf_counter()
         self.clock = clock or PartsClock()
@@ -71,7 +75,8 @@ class EncounterFinder:
                 engine.call(EpisodeCalls.open, self._task)
                 self.forked, self._started = engine.call(EpisodeCalls.forks), True
         with self.clock.part("seek"):
-            found = engine.call(EpisodeCalls.seek, self.records[-1].left if self.records else "")
+            left = self.records[-1].left if self.records else ""
+            found = engine.call(EpisodeCalls.seek, left, self.ends_at - time.perf_counter())
             self._unattacked = engine.call(EpisodeCalls.unattacked_seconds)
             if isinstance(found, FoundEncounter):
                 prefix, lanes = engine.call(EpisodeCalls.prefix), engine.call(EpisodeCalls.lanes, *found.area)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Collection
 
 import numpy as np
@@ -58,9 +59,16 @@ class EncounterSearch:
             self._left_egos.add(drive.ego)
             drive.release()
 
-    def until_encounter(self) -> list[RankedVehicle] | NoEncounter:
-        """Step until an encounter begins. The ranking, highest risk first; it may be empty at a given trigger, and in
-        the last ``WHOLE_RECORDING_S`` of a recording, which are one encounter as soon as the ego's history is known."""
+    def until_encounter(self, ends_at: float = math.inf) -> list[RankedVehicle] | NoEncounter:
+        """Step until an encounter begins.
+
+        Args:
+            ends_at: When the search ends without one, as ``time.perf_counter()`` [s].
+
+        Returns:
+            The ranking, highest risk first. It may be empty at a given trigger, and in the last ``WHOLE_RECORDING_S``
+            of a recording, which are one encounter as soon as the ego's history is known.
+        """
         task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_INTERVAL_S)
         requested = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
         wait = max(task.settings.history, task.warm_up if requested is not None else 0.0)  # before the first look
@@ -69,6 +77,10 @@ class EncounterSearch:
         if drive.ego is not None:
             since = drive.now - task.warm_up
         while drive.now < task.end:
+            if time.perf_counter() >= ends_at:
+                return NoEncounter(
+                    Ending.NO_ENCOUNTER, f"The time was used up before an encounter came ({drive.now:.0f} s)."
+                )
             snapshot = drive.tick()
             step = len(drive.recording.snapshots)
             if self._drives_another():

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -56,11 +57,12 @@ class EpisodeCalls(Protocol):
     def driver_time(self) -> DriverTime | None:
         """Return how long the driver's answers took so far, in all forks; None if SUMO drives the ego."""
 
-    def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
+    def seek(self, passed_over: str = "", within: float = math.inf) -> FoundEncounter | NoEncounter:
         """Simulate until an encounter with a harmless baseline begins, or until none can come.
 
         Args:
             passed_over: Why the last encounter is not attacked; empty at first.
+            within: The time after which none is sought any more [s].
         """
 
     def unattacked_seconds(self) -> float:

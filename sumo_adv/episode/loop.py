@@ -5,6 +5,7 @@ encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attem
 
 from __future__ import annotations
 
+import math
 import time
 import traceback
 from collections.abc import Sequence
@@ -34,17 +35,32 @@ MAX_ANALYSED_ENCOUNTERS = 4  # encounters that a model is asked about, where tho
 
 def run_episode(
     run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, agents: Agents, bank: MemoryBank,
-    tell: Tell, clock: PartsClock | None = None,
+    tell: Tell, clock: PartsClock | None = None, within: float = math.inf,
 ) -> Run:  # fmt: skip
     """Find encounters, attack in them until an attempt succeeds, and learn from them.
 
-    Only wrong use is raised; everything else is an ending. ``clock``: what was done for the run before.
+    Only wrong use is raised; everything else is an ending.
+
+    Args:
+        run_input: The input.
+        settings: The run's settings.
+        task: What is simulated.
+        engine: The engine process.
+        agents: The players of the parts.
+        bank: The memory bank.
+        tell: Called with each encounter, its intents and each attempt.
+        clock: What was done for the run before.
+        within: The time in which the run should end [s], whatever the settings allow.
+
+    Returns:
+        The run.
 
     Raises:
         UsageError: Wrong use that shows only in the simulation (an unknown ego, a broken driver class).
         BankError: The bank cannot be read.
     """
-    finder, bank_hash = EncounterFinder(run_input, settings, task, engine, tell, clock), bank.content_hash()
+    finder = EncounterFinder(run_input, settings, task, engine, tell, clock, time.perf_counter() + within)
+    bank_hash = bank.content_hash()
     try:
         _attack_encounters(finder, settings, task, engine, agents, bank, tell)
     except KeyboardInterrupt:
@@ -89,11 +105,13 @@ def _attack_encounters(
             continue
         tell("intents", decision.record.intents)
         runner = runner_of(engine, agents.sandbox, prepared.found, settings)
-        record = pursue(decision, runner, settings, agents, bank, tell, finder.keep, another=another)
+        record = pursue(
+            decision, runner, settings, agents, bank, tell, finder.keep, another=another, ends_at=finder.ends_at
+        )  # fmt: skip
         if record.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
             return
         finder.leave(f"{len(record.attempts)} attempts without success")
-        if time.perf_counter() - began >= settings.total_seconds:
+        if time.perf_counter() >= min(began + settings.total_seconds, finder.ends_at):
             return
 
 
@@ -154,7 +172,7 @@ def _why_not(record: EncounterRecord, prepared: PreparedEncounter, settings: Set
 
 def pursue(
     decision: Decision, runner: Attempts, settings: Settings, agents: Agents, bank: MemoryBank, tell: Tell,
-    keep: Keep = forget, *, another: bool = False,
+    keep: Keep = forget, *, another: bool = False, ends_at: float = math.inf,
 ) -> EncounterRecord:  # fmt: skip
     """Run attempts until one succeeds or the budget is used up, and learn from them.
 
@@ -167,6 +185,7 @@ def pursue(
         tell: Called with each attempt.
         keep: Called with the record of the attempts, also after an interruption or a failure.
         another: True if there may be another encounter, so this one is left sooner if nothing comes near.
+        ends_at: When the run should end, as ``time.perf_counter()`` [s].
 
     Returns:
         The record with the attempts and what was learnt from them.
@@ -176,7 +195,9 @@ def pursue(
     done, asked = Refinement(goal=settings.goal), record.request.asked
     if asked is not None:
         done.fitting = Fitting(asked, prepared.found, settings, reader_of(agents, record.request.words))
-    refiner = Refiner(runner, prepared.found, prepared.search, agents, library, settings, tell, another=another)
+    refiner = Refiner(
+        runner, prepared.found, prepared.search, agents, library, settings, tell, another=another, ends_at=ends_at
+    )  # fmt: skip
     try:
         refiner.run(record.intents, done)
     except ModelError as error:  # the attempts until then count

@@ -6,6 +6,7 @@ without the search once nothing is left, the modifier is asked (``repairs.py``).
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -105,9 +106,22 @@ class Refiner:
     def __init__(
         self, runner: Attempts, found: FoundEncounter, search: AttackSearch, agents: Agents,
         library: Sequence[LibraryEntry], settings: Settings, tell: Callable[[str, Any], None], *, another: bool = False,
+        ends_at: float = math.inf,
     ) -> None:  # fmt: skip
-        """``another``: there may be another encounter, so this one is left where nothing comes near."""
-        self._another = another
+        """Prepare the attempts; nothing is simulated yet.
+
+        Args:
+            runner: Runs the attempts.
+            found: The encounter.
+            search: Proposes candidates.
+            agents: The players of the parts.
+            library: The intents with their planners.
+            settings: The run's settings.
+            tell: Called with each attempt.
+            another: Whether there may be another encounter, so that this one is left if nothing comes near.
+            ends_at: When the run should end, as ``time.perf_counter()`` [s].
+        """
+        self._another, self._ends_at = another, ends_at
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
@@ -124,8 +138,7 @@ class Refiner:
         began = time.perf_counter()
         optimizer = self.optimizer(intents)
         while len(done.attempts) < self._settings.attempts:
-            if time.perf_counter() - began >= self._settings.seconds:
-                done.reason = f"The {self._settings.seconds:g} s for attempts were used up."
+            if self._late(began, done):
                 break
             if self._another and (vain := _in_vain(done)):
                 done.reason = f"The last {vain} attempts came to no more, and another encounter may come."
@@ -148,7 +161,8 @@ class Refiner:
         with done.clock.part("references"):
             settle_best(done, self._runner)
         best = done.best
-        if done.successes and best is not None and best not in done.robust and self._runner.repeats:
+        in_time = time.perf_counter() < self._ends_at
+        if in_time and done.successes and best is not None and best not in done.robust and self._runner.repeats:
             self._try_neighbours(done, best)
 
     def optimizer(self, intents: Sequence[Intent]) -> Optimizer:
@@ -199,12 +213,21 @@ class Refiner:
             self._tell("attempt", attempt)
             if done.goal.met(attempt.verdict):
                 self._keep(attempt, done, began)
-                if self._runner.repeats:
+                if self._runner.repeats and time.perf_counter() < self._ends_at:
                     for tried, verdict in self._try_neighbours(done, attempt.index):
                         optimizer.observe(tried, None, verdict)
-            if self._enough(done):
+            if self._enough(done) or self._late(began, done):
                 return True
         return False
+
+    def _late(self, began: float, done: Refinement) -> bool:
+        """Whether the time for attempts is used up, which is the reason then."""
+        now, seconds = time.perf_counter(), self._settings.seconds
+        if now - began >= seconds:
+            done.reason = f"The {seconds:g} s for attempts were used up."
+        elif now >= self._ends_at:
+            done.reason = "The time of the run was used up."
+        return now >= min(began + seconds, self._ends_at)
 
     def _forget(self, done: Refinement) -> None:
         """Drop the recorded states of attempts that no longer matter: they take a megabyte each."""

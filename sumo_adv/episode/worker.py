@@ -136,15 +136,15 @@ class EpisodeWorker(EpisodeCalls):
     def driver_time(self) -> DriverTime | None:
         return None if self._timed is None else self._timed.time
 
-    def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
-        passed = self._passed
+    def seek(self, passed_over: str = "", within: float = math.inf) -> FoundEncounter | NoEncounter:
+        passed, ends_at = self._passed, time.perf_counter() + within
         if passed_over:
             passed.append(f"{self._encounter.found.time:.1f} s ({passed_over})")
             self._at_trigger()
             self._search.leave([name for name, _, _ in self._encounter.found.ranking])
             self._cool_down()
         while True:
-            ranking = self._search.until_encounter()
+            ranking = self._search.until_encounter(ends_at)
             if isinstance(ranking, NoEncounter):
                 if passed:
                     return NoEncounter(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")

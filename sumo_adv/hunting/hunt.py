@@ -9,6 +9,7 @@ at its end, so the same command goes on.
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import time
@@ -25,11 +26,12 @@ from sumo_adv.campaigns.plan import CampaignPlan
 from sumo_adv.campaigns.results import is_failed
 from sumo_adv.datatypes import Level
 from sumo_adv.drivers.timing import DriverTime, read_driver_time, total_time
+from sumo_adv.episode.run import seconds_by_part
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import refuse_links, sentences, write_text
 from sumo_adv.goal import Goal
 from sumo_adv.hunting.choice import Shown, drawn_to_cover, drawn_to_fail
-from sumo_adv.hunting.failures import FAILURE_COLUMNS, Failure, distinct, failure_of, table
+from sumo_adv.hunting.failures import FAILURE_COLUMNS, Failure, FailureCell, distinct, failure_of, table
 from sumo_adv.hunting.rounds import FAILURE_LEVELS, cells_of, folder_of, further, outcomes_of
 from sumo_adv.metrics.species import Discovery, discovery
 from sumo_adv.parsing import read_object
@@ -41,8 +43,11 @@ from sumo_adv.scenario_names import is_one_of, wanted
 
 HUNT_SCHEMA = 1
 FAILURES_FOLDER = "failures"
-MAX_EPISODES_PER_WORKER = 3
-"""Episodes of a round for each worker at most; fewer where the time that is left is not enough for them."""
+MAX_EPISODES_PER_WORKER = 6
+"""Episodes of a round for each worker at most; the first round has one."""
+ROUND_S = 60.0  # s: how long a round should take, by what an episode took before
+MIN_ATTEMPTS = 12  # attempts that an encounter should have time for, whatever one of them costs
+LINE_INTERVAL_S = 10.0  # s between two reports of progress, unless there is a new failure
 MAX_ENCOUNTER_S = 20.0  # s of attempts in an encounter at most: a second simulation tells more than a longer search
 MIN_ENCOUNTER_S = 3.0
 MAX_MEDIAN_TIMES = 3.0  # an encounter may take this many times the median time to the first success
@@ -51,8 +56,8 @@ KINDS_PER_ENCOUNTER = 3
 MAX_TIME_SHARE = 0.1  # of the time that is left: the most that an encounter may take
 FAILURE_GOAL = Goal(Level.VALID)
 """What a failure comes to at least, if no level is asked for."""
-RunCampaign = Callable[[CampaignPlan, Orders], Summary]
-"""Runs what is missing of a plan. Raises SumoAdvError."""
+RunCampaign = Callable[[CampaignPlan, Orders, Callable[[Mapping[str, Any]], None]], Summary]
+"""Runs what is missing of a plan, and calls a function with the row of each episode that ends. Raises SumoAdvError."""
 
 
 def count_failures(found: Sequence[Failure], level: Level) -> int:
@@ -62,9 +67,20 @@ def count_failures(found: Sequence[Failure], level: Level) -> int:
 
 @dataclass(frozen=True, slots=True)
 class HuntProgress:
-    """How far a hunt is. newest: the newest distinct failure, None where the last round brought none. lost: attempts
-    and episodes that broke, as with a driver that hangs. left: what is left to find, by estimates. driver_time: how
-    long the driver's answers took, of ``episode_seconds`` of all episodes."""
+    """How far a hunt is.
+
+    Attributes:
+        seconds_left: The time that is left [s].
+        encounters: The number of encounters.
+        attempts: The number of attempts in them.
+        attempts_per_second: Attempts per second of the hunt.
+        found: The distinct failures, most serious first.
+        newest: The newest distinct failure; None if there is none since the last report.
+        lost: The number of attempts and episodes that broke, such as with a driver that hangs.
+        left: Estimates of what is left to find.
+        driver_time: How long the driver's answers took.
+        episode_seconds: The time of all episodes [s].
+    """
 
     seconds_left: float
     encounters: int
@@ -84,9 +100,22 @@ class HuntProgress:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a hunt came to. ended: ``time``, ``distinct`` or ``stopped`` (Ctrl-C). lost: a sentence for each attempt and
-    each episode that broke. left: what is left to find, by estimates; scenarios: what was met of each named scenario.
-    driver_time: how long the driver's answers took, of ``episode_seconds`` of all episodes."""
+    """The result of a hunt.
+
+    Attributes:
+        folder: The folder of the hunt.
+        failures: The distinct failures, most serious first.
+        encounters: The number of encounters.
+        attempts: The number of attempts in them.
+        seconds: The time of the hunt, over all its calls [s].
+        ended: ``time``, ``distinct`` or ``stopped`` (Ctrl-C).
+        left: Estimates of what is left to find.
+        lost: A sentence for each attempt and each episode that broke.
+        scenarios: What was met of each named scenario.
+        driver_time: How long the driver's answers took.
+        episode_seconds: The time of all episodes [s].
+        spent: What the workers spent their time on, by part [s].
+    """
 
     folder: Path
     failures: Sequence[Failure]
@@ -99,21 +128,31 @@ class Found:
     scenarios: Sequence[ScenarioRow] = ()
     driver_time: DriverTime = field(default_factory=DriverTime)
     episode_seconds: float = 0.0
+    spent: Mapping[str, float] = field(default_factory=dict)
 
 
 class Hunt:
-    """One hunt in its folder. ``plan``: all inputs, egos and settings; its seeds are not used, but for the first one.
-
-    Raises UsageError: the folder holds another hunt.
-    """
+    """One hunt in its folder."""
 
     def __init__(
         self, plan: CampaignPlan, orders: Orders, campaign: RunCampaign, minutes: float, most: int | None,
-        goal: Goal = FAILURE_GOAL, *, cover: bool = False, longest: float = MAX_ENCOUNTER_S,
+        goal: Goal = FAILURE_GOAL, *, cover: bool = False, longest: float | None = None,
     ) -> None:  # fmt: skip
-        """minutes: of the whole hunt, also over several calls. most: distinct failures that end it sooner. goal: what a
-        failure comes to at least. cover: give time to the named scenarios that were met least, otherwise to inputs that
-        bring new failures. longest: of attempts in an encounter [s]."""
+        """Prepare a hunt, or go on with the one in its folder.
+
+        Args:
+            plan: All inputs, egos and settings. Of its seeds, only the first one is used.
+            orders: How the rounds are run.
+            campaign: Runs a round.
+            minutes: The time of the whole hunt, also over several calls.
+            most: The number of distinct failures that ends the hunt sooner; None for no such end.
+            goal: The least that counts as a failure.
+            cover: Give time to the named scenarios that were met least, not to inputs that bring new failures.
+            longest: The most time for attempts in an encounter [s]; None lets the cost of an attempt decide.
+
+        Raises:
+            UsageError: No input can be run, or the folder holds another hunt.
+        """
         self._goal, self._cover, self._longest = goal, cover, longest
         self._only = wanted(plan.variants[0].get("scenario") or ())  # what failures must show
         self._plan, self._orders, self._campaign = plan, orders, campaign
@@ -129,6 +168,8 @@ class Hunt:
         self._firsts: list[list[float]] = []  # of each round, s to the first success of an encounter
         self._tallies: list[dict[str, list[Tally]]] = []  # of each round, by id: scenarios of each encounter
         self._times: list[list[tuple[DriverTime, float]]] = []  # of each round, of its episodes
+        self._parts: list[list[Mapping[str, float]]] = []  # of each round, s of each part of its episodes
+        self._told: tuple[frozenset[FailureCell], float] = (frozenset(), -math.inf)  # failures, and when
         self._input_of: dict[str, str] = {}  # by id of an episode, the content of its input
 
     def run(self, tell: Callable[[HuntProgress], None]) -> Found:
@@ -137,26 +178,21 @@ class Hunt:
         Raises SumoAdvError: no episode can be run, none was, or the disk is full.
         """
         rounds = range(len(self._state["rounds"]))  # finished ones are read, an interrupted one is completed
-        ended = "stopped" if any(self._round(k).interrupted for k in rounds) else "time"
-        before = len(self._remember())
+        ended = "stopped" if any(self._round(k, tell).interrupted for k in rounds) else "time"
+        self._remember()
         while ended == "time" and not self._enough() and self._left() > 0:
             self._state["rounds"].append(self._next())
             self._write()
-            summary = self._round(len(self._state["rounds"]) - 1)
-            found = self._remember()
-            runs = self._runs_of(len(self._rows) - 1)
-            newest = next((f for f in found if runs in f.run.parents), None) if len(found) > before else None
-            before = len(found)
-            tell(self._progress(found, newest))
-            if summary.interrupted:
+            if self._round(len(self._state["rounds"]) - 1, tell).interrupted:
                 ended = "stopped"
+            self._remember()
         if ended == "time" and self._enough():
             ended = "distinct"
         found = self._collected()
         progress, lost = self._progress(found, None), [why for each in self._lost for why in each]
         return Found(
             self.folder, found, progress.encounters, progress.attempts, self._seconds(), ended, self.left(), lost,
-            self.scenarios(), progress.driver_time, progress.episode_seconds,
+            self.scenarios(), progress.driver_time, progress.episode_seconds, self._spent(),
         )  # fmt: skip
 
     def found(self) -> list[Failure]:
@@ -174,7 +210,8 @@ class Hunt:
 
     # -- rounds -------------------------------------------------------------------------------------------------
 
-    def _round(self, k: int) -> Summary:
+    def _round(self, k: int, tell: Callable[[HuntProgress], None]) -> Summary:
+        """Run what is missing of a round, and take note of all its episodes."""
         order = self._state["rounds"][k]
         inputs = [self._inputs[content] for content in order["inputs"] if content in self._inputs]
         seconds, kinds = order["seconds"], order.get("kinds", KINDS_PER_ENCOUNTER)
@@ -184,22 +221,59 @@ class Hunt:
             variants=[{**variant, **bounds} for variant in self._plan.variants],
         )  # fmt: skip
         self._input_of |= {job.id: job.input.content for job in plan.jobs}
-        began = time.perf_counter()
-        summary = self._campaign(plan, replace(self._orders, out=self._folder_of(k)))
-        if summary.ran:
-            order["took"] = order.get("took", 0.0) + time.perf_counter() - began
-        self._rows[k:] = [list(summary.rows)]
-        self._more[k:] = [further(self._runs_of(k), summary.rows)]
-        outcomes = outcomes_of(self._runs_of(k), summary.rows)
-        self._tallies[k:] = [{name: tallies_of(outcome) for name, outcome in outcomes.items()}]
-        self._times[k:] = [list(map(_times_of, outcomes.values()))]
-        self._lost[k:] = [_lost(summary.rows, outcomes)]
-        first = ((o["timing"] or {}).get("first_success") for o in outcomes.values())
-        self._firsts[k:] = [[seconds for seconds in first if seconds is not None]]
+        began, before = time.perf_counter(), order.get("took", 0.0)
+        self._begin(k)
+
+        def finished(row: Mapping[str, Any]) -> None:
+            order["took"] = before + time.perf_counter() - began
+            self._add(k, [row])
+            self._say(tell)
+
+        pace = replace(self._orders.pace, until=time.time() + self._left())
+        summary = self._campaign(plan, replace(self._orders, out=self._folder_of(k), pace=pace), finished)
+        if summary.ran or summary.stopped:
+            order["took"] = before + time.perf_counter() - began
+        self._begin(k)
+        self._add(k, summary.rows)
         every = [row for each in self._rows for row in each]
         if every and not summary.stopped and all(map(is_failed, every)):
             raise SumoAdvError(f"All {len(every)} episodes of the hunt failed, the first one so: {every[0]['failure']}")
         return summary
+
+    def _begin(self, k: int) -> None:
+        """Forget what is known of the episodes of a round."""
+        for each in (self._rows, self._lost, self._firsts, self._times, self._parts):
+            each[k:] = [[]]
+        self._more[k:], self._tallies[k:] = [{}], [{}]
+
+    def _add(self, k: int, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Take note of finished episodes of a round."""
+        outcomes = outcomes_of(self._runs_of(k), rows)
+        timings = [outcome["timing"] or {} for outcome in outcomes.values()]
+        self._rows[k] += rows
+        self._more[k] |= further(self._runs_of(k), rows)
+        self._tallies[k] |= {name: tallies_of(outcome) for name, outcome in outcomes.items()}
+        self._times[k] += map(_times_of, outcomes.values())
+        self._lost[k] += _lost(rows, outcomes)
+        self._firsts[k] += [t["first_success"] for t in timings if t.get("first_success") is not None]
+        self._parts[k] += [{part: s for part, s in t.items() if part != "first_success"} for t in timings]
+
+    def _say(self, tell: Callable[[HuntProgress], None]) -> None:
+        """Report the progress if there is a new failure, or if the last report is old."""
+        found, (known, then), now = self.found(), self._told, time.perf_counter()
+        newest = next((f for f in found if f.cell not in known), None)
+        if newest is not None or now - then >= LINE_INTERVAL_S:
+            self._told = frozenset(f.cell for f in found), now
+            tell(self._progress(found, newest))
+
+    def _spent(self) -> dict[str, float]:
+        """Return how long the workers spent on each part [s].
+
+        ``between`` is the rest of their time: they start, or they wait for the last episode of a round.
+        """
+        spent = seconds_by_part(*(parts for each in self._parts for parts in each))
+        total = spent.pop("total", 0.0)
+        return {**spent, "between": max(self._seconds() * self._orders.pace.workers - total, 0.0)}
 
     def _remember(self) -> list[Failure]:
         """Write down the distinct failures after the newest round."""
@@ -218,9 +292,8 @@ class Hunt:
         random = Random(f"{seed}-{len(rounds)}")
         workers, rows = self._orders.pace.workers, sum(map(len, self._rows))
         lasts = self._seconds() * workers / rows if rows else 0.0  # s, an episode
-        size = workers * (
-            max(1, min(MAX_EPISODES_PER_WORKER, round(self._left() / lasts))) if lasts else MAX_EPISODES_PER_WORKER
-        )
+        time_for = round(min(self._left(), ROUND_S) / lasts) if lasts else 1
+        size = workers * max(1, min(MAX_EPISODES_PER_WORKER, time_for))
         if self._cover:
             drawn = drawn_to_cover(self._inputs, self._shown(), random)
         else:
@@ -233,8 +306,15 @@ class Hunt:
     def _each(self) -> float:
         """How long an encounter may be attacked [s]."""
         firsts = [s for each in self._firsts for s in each]
-        longest = min(self._longest, MAX_MEDIAN_TIMES * median(firsts)) if firsts else self._longest
+        longest = self._longest if self._longest is not None else max(MAX_ENCOUNTER_S, MIN_ATTEMPTS * self._costs())
+        longest = min(longest, MAX_MEDIAN_TIMES * median(firsts)) if firsts else longest
         return round(max(MIN_ENCOUNTER_S, min(longest, MAX_TIME_SHARE * self._left())), 1)
+
+    def _costs(self) -> float:
+        """Return how long an attempt takes [s]; 0 before the first one."""
+        attempts = sum(int(row["attempts"] or 0) for rows in self._rows for row in rows)
+        spent = seconds_by_part(*(parts for each in self._parts for parts in each))
+        return spent.get("attempts", 0.0) / attempts if attempts else 0.0
 
     def _kinds(self) -> int:
         """How many kinds of attacks an encounter is searched for.
