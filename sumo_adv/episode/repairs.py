@@ -1,7 +1,8 @@
-"""The modifier's changes in one encounter: which attempt it is asked about, and what is tried next.
+"""Choose which attempt of an encounter the modifier is asked about, and try its changes.
 
-It is asked about the best attempt that it has not been asked about. A chain of changes has at most ``modifications``
-links, and it is asked no more after two changes in a row that brought nothing, or once it says that nothing can work.
+The modifier is asked about the best attempt that it has not been asked about yet. Attempts recalled from memory are
+left out. A chain of changes has at most ``modifications`` links. The modifier is asked no more after two changes in a
+row that did not improve the best attempt, or once it says that nothing can work.
 """
 
 from __future__ import annotations
@@ -29,14 +30,24 @@ from sumo_adv.search.ranking import chosen_candidates
 from sumo_adv.search.sampling import AttackTemplate
 from sumo_adv.situation import ReferencePath
 
-# -- what the modifier is told --------------------------------------------------------------------------------------
+# -- what the modifier is shown -------------------------------------------------------------------------------------
 
-REPORT_ROW_INTERVAL_S = 0.5  # s between rows
-NEXT_ON_WAY_SEARCH_M = 30.0  # m along a way within which the next position is searched
+REPORT_ROW_INTERVAL_S = 0.5  # s between the rows of a report
+NEXT_ON_WAY_SEARCH_M = 30.0  # m along a way within which a vehicle's next position is searched
 
 
 def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings) -> AttemptReport:
-    """The report of an attempt; without rows if ego or adversary left at once."""
+    """Report an attempt to the modifier.
+
+    Args:
+        attempt: The attempt.
+        result: The result of the attempt.
+        found: The encounter.
+        settings: The settings of the run.
+
+    Returns:
+        The report. It has neither rows nor gates if the ego or the adversary left at once.
+    """
     tracks = result.tracks(settings.step_length)
     bv, begun = attempt.proposal.bv, attempt.proposal.delay - min(found.situations)
     if found.ego not in tracks or bv not in tracks:
@@ -57,12 +68,20 @@ def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, se
 
 
 def way_taken(track: Track, ways: Sequence[ReferencePath]) -> ReferencePath:
-    """The way that a vehicle followed: the one from which its centre was the least off, in the mean; of equals the
-    first."""
+    """Find the way that a vehicle followed.
+
+    Args:
+        track: The motion of the vehicle.
+        ways: The ways that it could take.
+
+    Returns:
+        The way with the smallest mean distance from the vehicle's centre; the first one of equals.
+    """
     return min(ways, key=lambda way: sum(abs(d) for _, d in followed(way.path, track.x, track.y, NEXT_ON_WAY_SEARCH_M)))
 
 
 def _rows(ego: Track, bv: Track, start: float, way: ReferencePath | None) -> tuple[Row, ...]:
+    """Describe both vehicles every ``REPORT_ROW_INTERVAL_S`` and at the last common step."""
     count = min(len(ego.time), len(bv.time))
     if count < 2:
         return ()
@@ -85,7 +104,18 @@ def _rows(ego: Track, bv: Track, start: float, way: ReferencePath | None) -> tup
 def scene_of(
     bv: str, entry: LibraryEntry, attempts: Sequence[Attempt], found: FoundEncounter, library: Sequence[LibraryEntry]
 ) -> RepairScene:
-    """What the modifier is told of the encounter."""
+    """Describe the encounter to the modifier.
+
+    Args:
+        bv: The id of the adversary.
+        entry: The library entry of the planner that is to be changed.
+        attempts: All attempts of the encounter so far.
+        found: The encounter.
+        library: The intents that may be tried instead.
+
+    Returns:
+        The description.
+    """
     situation = found.first
     aliases = Aliases.of(situation)
     scene = scene_words(situation, aliases, aliases.by_id.get(bv, "BV1"))
@@ -99,38 +129,72 @@ def scene_of(
 
 # -- its changes ----------------------------------------------------------------------------------------------------
 
-MAX_CHANGES_IN_VAIN = 2  # changes in a row that bring nothing
+MAX_CHANGES_IN_VAIN = 2  # changes in a row that do not improve the best attempt
 Key = tuple[str, float, tuple[tuple[str, float], ...]]
 Tried = Sequence[tuple[Attempt, AttemptResult]]
 
 
 def key_of(p: Proposal) -> Key:
-    """What identifies a link in a chain of changes: the planner (hash), the start [s] and the numbers."""
+    """Identify a link in a chain of changes.
+
+    Args:
+        p: The candidate.
+
+    Returns:
+        The planner's hash, the start after the trigger [s] and the parameter values, sorted by name.
+    """
     return p.planner.hash, p.delay, tuple(sorted(p.parameters.items()))
 
 
 class Repairs:
-    """The questions to the modifier, and its changes as candidates."""
+    """Asks the modifier about attempts of one encounter, and turns its changes into candidates.
+
+    Attributes:
+        versions: Planners with a source that the modifier wrote, by hash.
+    """
 
     def __init__(
         self, agents: Agents, found: FoundEncounter, library: Sequence[LibraryEntry],
         templates: Sequence[AttackTemplate], settings: Settings,
     ) -> None:  # fmt: skip
+        """Start without changes.
+
+        Args:
+            agents: Asks the model that plays the modifier.
+            found: The encounter.
+            library: The intents that may be tried instead.
+            templates: The templates of candidates with another intent.
+            settings: The settings of the run.
+        """
         self._agents, self._found, self._library = agents, found, library
         self._templates, self._settings = templates, settings
         self._depth: dict[Key, int] = {}  # how many changes led to a candidate
         self._asked: set[Key] = set()
         self._before: tuple[float, float] | None = None  # rank of the best attempt at the last change
         self._in_vain = 0
-        self.versions: dict[str, Planner] = {}  # texts that it wrote, by hash
+        self.versions: dict[str, Planner] = {}  # by hash
 
     def made(self, p: Proposal) -> bool:
-        """Whether a candidate is as the modifier gave it."""
+        """Return whether the modifier made a candidate.
+
+        Args:
+            p: The candidate. It is recognised by its planner, start and parameter values.
+        """
         return self._depth.get(key_of(p), 0) > 0
 
     def next(self, tried: Tried, only: str | None = None) -> list[Proposal]:
-        """The candidate to which the modifier changes an attempt, or none. ``only``: attempts of this planner (hash).
-        Raises ModelError."""
+        """Ask the modifier about the best attempt that may still be changed.
+
+        Args:
+            tried: All attempts of the encounter with their results.
+            only: The hash of the planner whose attempts may be changed; None allows all planners.
+
+        Returns:
+            The changed candidates; empty if the modifier is not asked, or if it has no change.
+
+        Raises:
+            ModelError: The model that plays the modifier failed, and ``fallback`` is not ``builtin``.
+        """
         ordered = sorted((a for a, _ in tried), key=lambda a: (rank(a.verdict), a.verdict.min_distance))
         if not ordered or self._in_vain_by(rank(ordered[0].verdict)) >= MAX_CHANGES_IN_VAIN:
             return []
@@ -151,7 +215,7 @@ class Repairs:
         return self._depth.get(key, 0) < self._settings.modifications
 
     def _in_vain_by(self, best: tuple[float, float]) -> int:
-        """How many changes in a row brought nothing, now that the best attempt has this rank."""
+        """Count the changes in a row that did not improve the best attempt, which has the rank ``best`` now."""
         if self._before is not None:
             self._in_vain = 0 if best < self._before else self._in_vain + 1
             self._before = None

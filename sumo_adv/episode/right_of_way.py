@@ -1,9 +1,10 @@
-"""Where the ways over a junction meet, and whether the ego must wait at a line. One rule for all drivers.
+"""Find where the ways over a junction meet, and decide whether the ego must wait at a line.
 
-It waits for lights, signs, and vehicles with the right of way. Such a vehicle counts if it arrives where its way meets
-the ego's before the ego would be across, and has not left that place when the ego is at its line. The margins and the
-expected acceleration are those of ``drivers/junctions.py``, which copies SUMO's own drivers. A reason to wait stays
-until the other vehicle is gone or has clearly slowed down: the answer does not flicker while the ego brakes.
+All drivers share one rule. The ego waits for lights, signs, and vehicles with the right of way. Such a vehicle counts
+if it arrives where its way meets the ego's before the ego would be across, and if it has not left that place when the
+ego is at its line. The margins and the expected acceleration are those of ``simulation/sumo_rules.py``, which copies
+SUMO's own drivers. A reason to wait stays until the other vehicle is gone or has clearly slowed down. So the answer
+does not flicker while the ego brakes.
 """
 
 from __future__ import annotations
@@ -28,15 +29,24 @@ from sumo_adv.simulation.sumo_rules import (
 # -- where ways meet ------------------------------------------------------------------------------------------------
 
 Link = tuple[str, int]
-"""A junction's id and the index of a way over it, as in the network's ``request`` elements."""
+"""A way over a junction: the junction's id and the index of the way, as in the network's ``request`` elements."""
 
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """A place where a way over a junction meets another.
+    """A place where a way over a junction meets another way.
 
-    other: the other way. lane: its lane there. at, other_at: metres from the beginning of the two ways, which is their
-    stop line. x, y [m]. joins: both end in the same lane, else they cross. yields: signs have the first give way.
+    Distances are measured from the beginning of a way, which is its stop line.
+
+    Attributes:
+        other: The other way.
+        lane: The id of the other way's lane at the place.
+        at: The distance of the place along the first way [m].
+        other_at: The distance of the place along the other way [m].
+        x: The x of the place [m].
+        y: The y of the place [m].
+        joins: Whether both ways end in the same lane; otherwise they cross.
+        yields: Whether signs make the first way give way to the other.
     """
 
     other: Link
@@ -50,12 +60,22 @@ class Meeting:
 
 
 class Meetings:
-    """All meetings of a network. Each way's are worked out when they are first asked for."""
+    """Finds the places where the ways of a network meet. Those on a way are worked out when first needed.
+
+    Attributes:
+        ways: The connection of each way.
+        link_of: The way that each lane of a junction belongs to, by the lane's id.
+    """
 
     def __init__(self, road: RoadMap) -> None:
+        """Collect the ways.
+
+        Args:
+            road: The network.
+        """
         self._road = road
         self.ways: dict[Link, Connection] = {}
-        self.link_of: dict[str, Link] = {}  # lane of a junction -> its way
+        self.link_of: dict[str, Link] = {}  # by the id of a lane of the junction
         self._at: dict[str, list[Link]] = {}
         self._found: dict[Link, tuple[Meeting, ...]] = {}
         self._lines: dict[Link, Floats] = {}
@@ -68,13 +88,29 @@ class Meetings:
                 self.link_of.update(dict.fromkeys(connection.via, connection.link))
 
     def line(self, link: Link) -> Floats:
-        """The centreline of a way over a junction, ``(n, 2)``."""
+        """Return the centreline of a way over a junction.
+
+        Args:
+            link: The way.
+
+        Returns:
+            Its points ``(n, 2)`` [m].
+        """
         if link not in self._lines:
             self._lines[link] = np.vstack([self._road.lanes[n].shape for n in self.ways[link].via])
         return self._lines[link]
 
     def of(self, link: Link) -> tuple[Meeting, ...]:
-        """The meetings on a way, in its direction. None with ways that begin in the same lane: they part."""
+        """Return the places where other ways of the junction meet a way.
+
+        Ways that begin at the same point part there, so they have no such place.
+
+        Args:
+            link: The way.
+
+        Returns:
+            The places, in the direction of the way.
+        """
         if link not in self._found:
             others = (crossed for crossed in self._at.get(link[0], ()) if crossed != link)
             meetings = [m for crossed in others for m in self._between(link, crossed)]
@@ -82,7 +118,7 @@ class Meetings:
         return self._found[link]
 
     def _between(self, mine: Link, other: Link) -> Iterator[Meeting]:
-        """The first place where two ways meet, if they do."""
+        """Find the first place where two ways meet, if they do."""
         from shapely import LineString, Point
 
         way, other_way = self.ways[mine], self.ways[other]
@@ -93,7 +129,7 @@ class Meetings:
         if joins:
             x, y = a[-1]
         else:
-            shared = LineString(a).intersection(LineString(b))  # of a stretch that they share, its ends count
+            shared = LineString(a).intersection(LineString(b))  # the ends of a shared stretch count
             points = [p for part in getattr(shared, "geoms", [shared]) for p in part.coords]
             if not points:
                 return
@@ -105,33 +141,50 @@ class Meetings:
 
 # -- who waits ------------------------------------------------------------------------------------------------------
 
-# m/s2: a driver that can stop with this braking stops at a yellow light, and keeps ``MINOR_TIME_GAP_S``
+# m/s2: a driver that can stop with this braking stops at a yellow light, and keeps ``MINOR_TIME_GAP_S`` when it yields
 COMFORTABLE_BRAKING_M_S2 = 3.0
-STOPPING_BRAKING_M_S2 = 4.5  # SUMO's ``decel``: a driver that cannot stop with it passes, unless it had to wait already
-STOP_BEYOND_LINE_M = 0.5  # m: a driver that would stop at most this far beyond the line can still stop before it
-WAIT_RELAX_S = 1.0  # s more than ``MINOR_TIME_GAP_S`` before a reason to wait goes away: SUMO's own margin once more
-LINE_PASSED_M = 0.5  # by which the front bumper may be over a line and still stand at it (``drivers/junctions.py``)
-AT_STOP_SIGN_M = 3.0  # m before a stop sign's line within which a standstill counts
-LETS_GO_AFTER_S = 3.0  # a vehicle that has stood this long lets the ego go first, so that not both wait for each other
+STOPPING_BRAKING_M_S2 = 4.5  # SUMO's ``decel``; a driver that cannot stop with it passes, unless it waits already
+STOP_BEYOND_LINE_M = 0.5  # m; a driver that would stop at most this far beyond the line counts as able to stop
+WAIT_RELAX_S = 1.0  # s on top of ``MINOR_TIME_GAP_S`` until a reason to wait goes away; as long as SUMO's own margin
+LINE_PASSED_M = 0.5  # m; so far over a line the front bumper still stands at it (``simulation/sumo_rules.py``)
+AT_STOP_SIGN_M = 3.0  # m before the line of a stop sign; a standstill counts within this distance
+LETS_GO_AFTER_S = 3.0  # s; a vehicle that has stood this long lets the ego go, so that both do not wait
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line on the ego's path. room: metres from the front bumper to it. begin: from the beginning of the way over
-    the junction to it, above zero where the ego waits on the junction. letter: SUMO's, of light or sign."""
+    """A line on the ego's path at which it may have to wait.
+
+    Attributes:
+        link: The way over the junction.
+        way: The connection of that way.
+        room: The distance from the ego's front bumper to the line [m].
+        begin: The distance from the beginning of the way to the line [m]; above zero if the ego waits on the junction.
+        letter: SUMO's letter of the light or the sign.
+        limit: The lowest speed limit on the way [m/s].
+    """
 
     link: Link
     way: Connection
     room: float
     begin: float
     letter: str
-    limit: float  # m/s, of the way over the junction
+    limit: float
 
 
 @dataclass(frozen=True, slots=True)
 class Foe:
-    """Another vehicle that comes to a junction. to_line: metres from its front bumper to the beginning of its way over
-    the junction, negative once it is on it. stood: for how long it has been standing [s]."""
+    """Another vehicle that comes to a junction or is on it.
+
+    Attributes:
+        id: The id of the vehicle.
+        link: Its way over the junction.
+        to_line: The distance from its front bumper to the beginning of its way [m]; negative on the junction.
+        length: Its length [m].
+        speed: Its speed [m/s].
+        stood: Returns for how long it has been standing [s].
+        letter: SUMO's letter of its light now, or of its sign.
+    """
 
     id: str
     link: Link
@@ -139,29 +192,52 @@ class Foe:
     length: float
     speed: float
     stood: Callable[[], float]
-    letter: str  # SUMO's, of its light now or of its sign
+    letter: str
 
 
 LIGHT_COLOURS = {**dict.fromkeys("Ggs", "green"), **dict.fromkeys("yY", "yellow"), **dict.fromkeys("rRu", "red")}
 
 
 def signal_of(letter: str, *, light: bool) -> str | None:
-    """``green``, ``yellow``, ``red``; None if there is no light or it is off."""
+    """Return the colour of a light.
+
+    Args:
+        letter: SUMO's letter.
+        light: Whether there is a light.
+
+    Returns:
+        ``green``, ``yellow`` or ``red``; None if there is no light or it is off.
+    """
     return LIGHT_COLOURS.get(letter) if light else None
 
 
 def sign_of(letter: str) -> str | None:
-    """``stop`` or ``yield`` where the ego has to give way while it may go, else None."""
+    """Return the sign that makes the ego give way while it may go.
+
+    Args:
+        letter: SUMO's letter of the light or the sign.
+
+    Returns:
+        ``stop`` or ``yield``; None if the ego does not have to give way.
+    """
     if letter in "sw":
         return "stop"
     return "yield" if letter in "mgo=" else None
 
 
 class RightOfWay:
-    """State: for which vehicles the ego waits, at which lines it has waited and may go, for how long it has stood at
-    which stop signs [s], and at which yellow lights it stops."""
+    """Decides whether the ego must wait at a line.
+
+    It remembers for which vehicles the ego waits, at which lines the ego has waited and may go, how long it has stood
+    at which stop signs [s], and at which yellow lights it stops.
+    """
 
     def __init__(self, meetings: Meetings) -> None:
+        """Start without reasons to wait.
+
+        Args:
+            meetings: Finds where ways meet.
+        """
         self._meetings = meetings
         self._waits: set[tuple[Link, str]] = set()
         self._stood: dict[Link, float] = {}
@@ -169,7 +245,15 @@ class RightOfWay:
         self._yellow: set[Link] = set()
 
     def must_wait(self, line: Line, length: float, speed: float, stood: float, foes: Sequence[Foe]) -> bool:
-        """For an ego of a length [m] and a speed [m/s] that has been standing for ``stood`` seconds."""
+        """Return whether the ego must not pass a line now.
+
+        Args:
+            line: The line.
+            length: The ego's length [m].
+            speed: The ego's speed [m/s].
+            stood: For how long the ego has been standing [s].
+            foes: The other vehicles that come to the junctions of the ego's path or are on them.
+        """
         if line.room < -LINE_PASSED_M:
             self._forget(line.link)
             return False
@@ -198,17 +282,24 @@ class RightOfWay:
         return bool(reasons)
 
     def yields(self, line: Line, meeting: Meeting, letter: str) -> bool:
-        """Whether vehicles on the other way go before the ego; ``letter``: of their light or sign."""
+        """Return whether vehicles on another way go before the ego.
+
+        Args:
+            line: The line at which the ego would wait for them.
+            meeting: The place where the other way meets the ego's.
+            letter: SUMO's letter of the light or the sign on the other way.
+        """
         return meeting.yields and sign_of(line.letter) is not None and letter not in "rRu"
 
     def _forget(self, link: Link) -> None:
+        """Forget all that was remembered of a way."""
         self._waits = {reason for reason in self._waits if reason[0] != link}
         self._stood.pop(link, None)
         self._yellow.discard(link)
         self._let_go.discard(link)
 
     def _goes_first(self, line: Line, length: float, speed: float, foe: Foe) -> bool:
-        """Whether the ego has to wait for a vehicle; a vehicle on the junction counts even without priority."""
+        """Return whether the ego has to wait for a vehicle; a vehicle on the junction counts even without priority."""
         entered = foe.to_line < 0.0
         if foe.letter in "rRuyY" and not entered:
             return False
@@ -243,4 +334,5 @@ class RightOfWay:
 
 
 def _seconds(distance: float, speed: float, fastest: float = FOE_SPEED_M_S) -> float:
+    """Return the time that a vehicle which accelerates as others expect needs for a distance [s]."""
     return float(travel_time(np.array([distance]), np.array([speed]), FOE_ACCELERATION_M_S2, fastest)[0])
