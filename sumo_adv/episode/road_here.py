@@ -1,4 +1,7 @@
-"""The road at the ego, for drivers that plan for themselves. An attribute is worked out when it is first read."""
+"""Describe the road at the ego, for drivers that plan for themselves.
+
+Each attribute is worked out when it is first read.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +25,20 @@ if TYPE_CHECKING:
     from sumo_adv.episode.drive import Drive
 
 UNADVISED_SPEED_M_S, UNADVISED_DISTANCE_M = 1.0, 10.0
-# a slower ego nearer to the end of its lane gets no advised speed: SUMO's advice is
-# at most the speed that the ego was given, so a creeping ego would creep on.
-LEAVING_S = 0.3  # s before its front bumper reaches the end of its route the ego leaves
-ROAD_SEEN_M = 120.0  # m: how far the road is told
+# A slower ego closer to the end of its lane gets no advised speed. SUMO's advice is at most the speed that the ego was
+# given, so a creeping ego would never speed up again.
+LEAVING_S = 0.3  # s; the ego leaves this long before its front bumper reaches the end of its route
+ROAD_SEEN_M = 120.0  # m; how far ahead the road is described
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A lane of the ego's path and the metres from the ego's centre to its beginning."""
+    """A lane of the ego's path.
+
+    Attributes:
+        lane: The lane.
+        ahead: The distance from the ego's centre to the beginning of the lane [m]; negative on the lane.
+    """
 
     lane: NetLane
     ahead: float
@@ -38,7 +46,13 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Junction:
-    """A junction on the ego's path: the way over it and the metres from the ego's centre to the way's beginning."""
+    """A junction on the ego's path.
+
+    Attributes:
+        link: The way over the junction.
+        way: The connection of that way.
+        ahead: The distance from the ego's centre to the beginning of the way [m]; negative on the junction.
+    """
 
     link: Link
     way: Connection
@@ -46,24 +60,60 @@ class Junction:
 
 
 class RoadHere:
-    """Makes ``Road`` for one simulation. While the ego is off all lanes it is made for its last place."""
+    """Makes the ``Road`` of each step of a simulation.
+
+    While the ego is off all lanes, the road is described at its last place.
+
+    Attributes:
+        map: The network.
+        meetings: Finds where ways over a junction meet.
+        drive: The simulation.
+        near: Describes the lanes and the carriageway near the ego.
+        rule: Decides whether the ego must wait at a line.
+    """
 
     def __init__(self, road: RoadMap, meetings: Meetings, drive: Drive) -> None:
+        """Start before the first step.
+
+        Args:
+            road: The network.
+            meetings: Finds where ways over a junction meet.
+            drive: The simulation.
+        """
         self.map, self.meetings, self.drive = road, meetings, drive
         self.near = RoadNear(road)
         self.rule = RightOfWay(meetings)
         self._last: LanePlace | None = None
 
     def __call__(self, ego: VehicleState, place: LanePlace | None) -> Road | None:
-        """None before the ego was on a lane."""
+        """Return the road at the ego now.
+
+        Args:
+            ego: The state of the ego.
+            place: The place of the ego on its route; None while it is off all lanes.
+
+        Returns:
+            The road; None before the ego was on a lane.
+        """
         self._last = place or self._last
         return None if self._last is None else RoadNow(self, ego, self._last)
 
 
 class RoadNow(Road):
-    """``Road`` at one time. Raises SimulationError for what is read too late."""
+    """The ``Road`` of one step.
+
+    Raises:
+        SimulationError: An attribute that needs the simulation is first read after the step is over.
+    """
 
     def __init__(self, here: RoadHere, ego: VehicleState, place: LanePlace) -> None:
+        """Describe the road at this step.
+
+        Args:
+            here: Makes the roads of the simulation.
+            ego: The state of the ego.
+            place: The place of the ego on its route.
+        """
         self.__dict__.update(_here=here, _ego=ego, _place=place, _time=here.drive.now)
 
     _here: RoadHere
@@ -72,6 +122,7 @@ class RoadNow(Road):
     _time: float
 
     def _now(self) -> RoadHere:
+        """Return the maker of the road, or raise SimulationError if the step is over."""
         if self._here.drive.now != self._time:
             raise SimulationError(
                 f"observation.road of {self._time:g} s was read at {self._here.drive.now:g} s: "
@@ -94,7 +145,7 @@ class RoadNow(Road):
 
     @cached_property
     def _left(self) -> float:
-        """Metres from the front bumper to the end of the lane."""
+        """The distance from the front bumper to the end of the lane [m]."""
         return self._place.lane.length - self._place.front
 
     @cached_property
@@ -210,7 +261,7 @@ class RoadNow(Road):
         return tuple(chain), tuple(junctions)
 
     def _lines(self) -> Iterator[Line]:
-        """The lines on the path, nearest first; also a line between front bumper and centre."""
+        """Yield the lines on the path, nearest first, including one between the front bumper and the centre."""
         for junction in self._stretches[1]:
             bay = self._here.map.lanes[junction.way.via[0]].length if len(junction.way.via) > 1 else 0.0
             entry = self._line(junction, 0.0)
@@ -220,24 +271,25 @@ class RoadNow(Road):
                 yield self._line(junction, bay)
 
     def _line(self, junction: Junction, begin: float) -> Line:
+        """Describe the line on the junction's way that is ``begin`` metres from the beginning of the way."""
         room = junction.ahead + begin - self._ego.length / 2
         limit = min(self._now().drive.simulation.lane_limit(name) for name in junction.way.via)
         return Line(junction.link, junction.way, room, begin, self._letter(junction.link), limit)
 
     def _letter(self, link: Link) -> str:
-        """SUMO's letter for a way over a junction: of its light now, else of its sign."""
+        """Return SUMO's letter for a way over a junction: that of its light now or, without a light, of its sign."""
         way = self._here.meetings.ways[link]
         name, index = way.light
         return way.state if index < 0 else self._light(name)[index]
 
     @cached_property
     def _light(self) -> Callable[[str], str]:
-        """The state of a traffic light, asked of SUMO once each."""
+        """A function that returns the state of a traffic light. It asks SUMO once for each light."""
         return cache(self._now().drive.simulation.light)
 
     @cached_property
     def _foes(self) -> Sequence[Foe]:
-        """The vehicles that come to a junction of the path, or are on it."""
+        """The vehicles that come to a junction of the path or are on it."""
         here, ahead = self._now(), {junction.link[0] for junction in self._stretches[1]}
         raw, ego = here.drive.snapshot.raw, self._ego
         foes: list[Foe] = []
@@ -252,8 +304,15 @@ class RoadNow(Road):
         return foes
 
     def _approach(self, name: str) -> tuple[Link, float] | None:
-        """The way over a junction that a vehicle is on or comes to next, and the metres from its front to the way's
-        beginning; None if it comes to none."""
+        """Find the way over a junction that a vehicle is on or comes to next.
+
+        Args:
+            name: The id of the vehicle.
+
+        Returns:
+            The way, and the distance from the vehicle's front to its beginning [m]; None if there is none within
+            ``ROAD_SEEN_M``. The distance is negative on the junction.
+        """
         here = self._here
         x, y, _, _, on = here.drive.snapshot.raw[name]
         lane = here.map.lanes.get(on)
@@ -275,5 +334,5 @@ class RoadNow(Road):
 
 
 def _lit(line: Line) -> bool:
-    """Whether a light stands at the line: it does where the way over the junction begins."""
+    """Return whether a light stands at the line, which it does at the beginning of the way over the junction."""
     return line.way.light[1] >= 0 and line.begin == 0.0

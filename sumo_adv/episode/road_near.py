@@ -1,4 +1,4 @@
-"""The lanes and the carriageway near the ego."""
+"""Describe the lanes and the carriageway near the ego."""
 
 from __future__ import annotations
 
@@ -16,15 +16,23 @@ from sumo_adv.simulation.network import NetworkLane as NetLane
 from sumo_adv.simulation.network import RoadMap
 
 LANES_RADIUS_M = 120.0  # m from the ego
-LANES_RENEWED_AFTER_M = 10.0  # m that the ego goes until they are made again
-DIRECTION_SPAN_M = 0.25  # m before and behind a place over which the direction there is taken
-SAME_DIRECTION_RAD = math.pi / 4  # rad between a lane and the path, for lanes that lead the same way
+LANES_RENEWED_AFTER_M = 10.0  # m; the lanes are rebuilt after the ego has gone this far
+DIRECTION_SPAN_M = 0.25  # m before and behind a place, over which its direction is measured
+SAME_DIRECTION_RAD = math.pi / 4  # rad; the maximum angle between a lane and the path that lead the same way
 
 
 class RoadNear:
-    """Makes ``Road.lanes`` and ``Road.edges``. Holds the last of them."""
+    """Makes ``Road.lanes`` and ``Road.edges``.
+
+    Both stay the same objects until they have to be rebuilt.
+    """
 
     def __init__(self, road: RoadMap) -> None:
+        """Start without lanes.
+
+        Args:
+            road: The network.
+        """
         self._road, self._graph = road, LaneGraph(road)
         self._around: tuple[object, tuple[float, float], tuple[NetLane, ...]] = (None, (0.0, 0.0), ())
         self._lanes: tuple[object, tuple[Lane, ...]] = (None, ())
@@ -34,12 +42,19 @@ class RoadNear:
         self, ego: tuple[float, float], route: Sequence[NetLane], met: frozenset[str],
         now: Callable[[str], tuple[float, bool]],
     ) -> tuple[Lane, ...]:  # fmt: skip
-        """The lanes near a place.
+        """Return the lanes near the ego.
 
         Args:
-            route: the lanes of the path.
-            met: those that it meets on junctions.
-            now: takes a lane's id and returns its speed limit [m/s] and whether the ego may use it, now.
+            ego: The ego's place (x, y) [m].
+            route: The lanes of the ego's path.
+            met: The ids of the lanes that the path meets on junctions.
+            now: Returns a lane's present speed limit [m/s] and whether the ego may use the lane now, from the lane's
+                id.
+
+        Returns:
+            The lanes within ``LANES_RADIUS_M``. Lanes that pass over or under the path are left out unless they belong
+                to it or
+            meet it.
         """
         key = tuple(lane.id for lane in route[:3])
         on = {lane.id for lane in route}
@@ -69,13 +84,22 @@ class RoadNear:
         return self._lanes[1]
 
     def _way(self, route: Sequence[NetLane]) -> Floats:
-        """The centrelines of lanes, one after the other, with heights where the network has some."""
+        """Join the centrelines of lanes, with heights if the network has any."""
         return np.vstack([self._road.line(lane) for lane in route])
 
     def edges(
         self, ego: tuple[float, float], route: Sequence[str], lanes: Sequence[NetLane] = ()
     ) -> tuple[Floats, ...]:
-        """The boundary of the carriageway near a place; ``route``: of the ego; ``lanes``: of its path."""
+        """Return the boundary of the drivable ground near the ego.
+
+        Args:
+            ego: The ego's place (x, y) [m].
+            route: The ids of the ego's edges from the present one on.
+            lanes: The lanes of the ego's path. Ground above or below them is left out.
+
+        Returns:
+            Lines ``(n, 2)`` within ``LANES_RADIUS_M`` [m].
+        """
         if self._edges[0] == route and math.dist(self._edges[1], ego) < LANES_RENEWED_AFTER_M:
             return self._edges[2]
         from shapely import Point
@@ -88,7 +112,7 @@ class RoadNear:
 
 
 class _Direction:
-    """The direction of lanes where they are nearest to a polyline, compared with the polyline's."""
+    """Compares the directions of a lane and a polyline where the two are nearest to each other."""
 
     def __init__(self, points: Floats) -> None:
         from shapely import LineString
@@ -96,7 +120,7 @@ class _Direction:
         self._line = LineString(points)
 
     def relation(self, shape: Floats) -> str:
-        """``beside``, ``oncoming`` or ``crossing``."""
+        """Return ``beside``, ``oncoming`` or ``crossing`` for a lane with the centreline ``shape``."""
         from shapely import LineString, Point, shortest_line
 
         line = LineString(shape)
@@ -108,7 +132,7 @@ class _Direction:
 
 
 def _heading(line: Any, point: Any) -> float:
-    """The direction [rad] of a line at a point on it."""
+    """Return the direction of a line at a point on it [rad]."""
     at = min(max(line.project(point), DIRECTION_SPAN_M), line.length - DIRECTION_SPAN_M)
     a, b = line.interpolate(max(at - DIRECTION_SPAN_M, 0.0)), line.interpolate(at + DIRECTION_SPAN_M)
     return math.atan2(b.y - a.y, b.x - a.x)

@@ -1,9 +1,9 @@
-"""What surrounds the ego when an encounter begins, as the network tells it.
+"""Describe what surrounds the ego when an encounter begins, as the network shows it.
 
-The road class follows these rules, in this order:
+The road class follows from these rules, in this order:
 
 motorway   a limit of at least 90 km/h, and no lane of the other direction beside the carriageway
-junction   the ego is on a junction where several roads come together, or comes to one within 8 s at its speed
+junction   the ego is on a junction where several roads come together, or reaches one within 8 s at its speed
 rural      a limit above 50 km/h
 urban      everything else
 """
@@ -19,14 +19,22 @@ from sumo_adv.simulation.permissions import CAR
 from sumo_adv.simulation.road_geometry import geometry_of
 
 MOTORWAY_LIMIT_M_S = 25.0  # m/s, 90 km/h
-URBAN_LIMIT_M_S = 13.9  # m/s, 50 km/h, as networks have it rounded
-PLACE_LOOKAHEAD_S = 8.0  # s: most attacks come to a contact within that time
-MIN_LOOKAHEAD_M = 10.0  # m: a way that is looked at is no shorter
-VEHICLE_COUNT_RADIUS_M = 70.0  # m: the radius in which vehicles are counted
+URBAN_LIMIT_M_S = 13.9  # m/s, 50 km/h as networks round it
+PLACE_LOOKAHEAD_S = 8.0  # s; most attacks that end in a contact do so within this time
+MIN_LOOKAHEAD_M = 10.0  # m; the minimum length of road that is searched for junctions
+VEHICLE_COUNT_RADIUS_M = 70.0  # m; vehicles within this radius are counted
 
 
 def place_of(road: RoadMap, drive: Drive) -> RoadPlace:
-    """The surroundings of the ego now."""
+    """Describe what surrounds the ego now.
+
+    Args:
+        road: The network.
+        drive: The simulation.
+
+    Returns:
+        The surroundings. The road class and the speed limit are None off the network.
+    """
     assert drive.ego is not None
     ego = drive.state(drive.ego)
     obstacles = drive.obstacles
@@ -46,8 +54,19 @@ def place_of(road: RoadMap, drive: Drive) -> RoadPlace:
 def road_class(
     road: RoadMap, lane: NetworkLane, station: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
 ) -> RoadClass:
-    """The class of the road ``station`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
-    from there on, where they are known; vclass: SUMO's class of the vehicle that goes there."""
+    """Classify the road at a place.
+
+    Args:
+        road: The network.
+        lane: The lane.
+        station: The place on the lane [m].
+        ahead: The distance within which a junction counts [m].
+        route: The edges from there on, if they are known.
+        vclass: SUMO's class of the vehicle that drives there.
+
+    Returns:
+        The class of the road.
+    """
     if lane.speed >= MOTORWAY_LIMIT_M_S and not _two_way(road, lane):
         return RoadClass.MOTORWAY
     if _near_junction(road, lane, station, ahead, route, vclass):
@@ -56,7 +75,7 @@ def road_class(
 
 
 def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[NetworkLane, float] | None:
-    """The ego's lane and its centre's station on it [m]; None off the network. A log names no lane."""
+    """Find the ego's lane and the station of its centre there [m]; None off the network. A log names no lane."""
     place = None if drive.replayed() else drive.place(road)
     if place is not None:
         return place.lane, max(place.front - ego.length / 2, 0.0)
@@ -65,7 +84,7 @@ def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[NetworkLane, 
 
 
 def _two_way(road: RoadMap, lane: NetworkLane) -> bool:
-    """Whether a lane of the other direction touches the carriageway."""
+    """Return whether a lane of the other direction touches the carriageway."""
     middle = len(lane.shape) // 2
     (x, y), (dx, dy) = lane.shape[middle - 1], lane.shape[middle] - lane.shape[middle - 1]
     sides = road.side_offsets(lane.id, float(x + dx / 2), float(y + dy / 2), math.atan2(dy, dx))

@@ -1,4 +1,4 @@
-"""Who passed a red light, and who took the right of way of the other, before the ego and the adversary met."""
+"""Find who passed a red light, and who ignored the other's right of way, before the ego and the adversary collided."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.situation import ReferencePath, Signal, Situation
 
 BOTH, NONE = "both", "none"
-AT_CONFLICT_M = 20.0  # from where the two ways meet: a contact further away is no matter of the right of way there
-FIRST_BY_SIGN = "MOo"  # SUMO's letters of connections that do not give way
+AT_CONFLICT_M = 20.0  # m; farther from where the two ways meet, a contact has nothing to do with the right of way there
+FIRST_BY_SIGN = "MOo"  # SUMO's letters of connections that need not give way
 MINOR_GREEN, MAJOR_GREEN = "g", "G"
-RED, YELLOW = "ru", "yY"  # letters
+RED, YELLOW = "ru", "yY"  # SUMO's letters
 
 
 @dataclass(frozen=True, slots=True)
 class LightPassed:
-    """A stop line that was passed: when [s], and SUMO's letter of the light then."""
+    """The moment at which a vehicle passed its stop line.
+
+    Attributes:
+        time: The time [s].
+        letter: SUMO's letter of the light then.
+    """
 
     time: float
     letter: str
@@ -29,11 +34,11 @@ class LightPassed:
 
 @dataclass(frozen=True, slots=True)
 class RulesBroken:
-    """By whom: ``adversary``, ``ego``, ``both`` or ``none``.
+    """The rules that were broken, and by whom: ``adversary``, ``ego``, ``both`` or ``none``.
 
     Attributes:
-        red_light: Passed a stop line at a light that was red then.
-        right_of_way: Had to give way where the two ways meet, by sign or by a minor green, and did not.
+        red_light: Who passed a stop line at a light that was red then.
+        right_of_way: Who did not give way where the two ways meet, although a sign or a minor green demanded it.
     """
 
     red_light: str
@@ -41,7 +46,16 @@ class RulesBroken:
 
 
 def rules_broken(attempt: Attempt, result: AttemptResult, found: FoundEncounter) -> RulesBroken | None:
-    """Who broke which rule before a contact; None without one, or where the situation is not known."""
+    """Return which rules were broken before a contact, and by whom.
+
+    Args:
+        attempt: The attempt.
+        result: The result of the attempt.
+        found: The encounter.
+
+    Returns:
+        The rules; None without a contact, or if the encounter has no situation with the adversary at that start.
+    """
     p, contact = attempt.proposal, attempt.verdict.contact_time
     situation = found.situations.get(p.delay)
     if contact is None or situation is None or p.bv not in situation.targets:
@@ -56,19 +70,20 @@ def rules_broken(attempt: Attempt, result: AttemptResult, found: FoundEncounter)
 
 
 def light_at_line(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[Snapshot]) -> LightPassed | None:
-    """What the next light shows a vehicle when it passes its stop line.
+    """Return what the next light shows a vehicle when it passes its stop line.
 
     A snapshot has the states of all links of a light. The vehicle's link is one of those that showed its letter at
     first, so its letter is known while all of them show the same.
 
     Args:
-        vehicle: Its id.
-        signals: The lights ahead of it at the first snapshot, nearest first.
+        vehicle: The id of the vehicle.
+        signals: The lights ahead of the vehicle at the first snapshot, nearest first.
         snapshots: The states from then on.
 
     Returns:
-        The time and the letter; None if the vehicle has no light ahead, does not pass the line, or if its letter is not
-        known then.
+        The time and the letter. None if the vehicle has no light ahead or does not pass the line, or if the letter is
+            not
+        known at that time.
     """
     if not signals:
         return None
@@ -89,8 +104,16 @@ def light_at_line(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[S
 
 
 def red_light_at(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[Snapshot]) -> float | None:
-    """When a vehicle passes its stop line on red [s]; None if it does not. For the arguments see
-    :func:`light_at_line`."""
+    """Return when a vehicle passes its stop line on red.
+
+    Args:
+        vehicle: The id of the vehicle.
+        signals: The lights ahead of the vehicle at the first snapshot, nearest first.
+        snapshots: The states from then on.
+
+    Returns:
+        The time [s]; None if the vehicle does not pass the line on red, or if this is not known.
+    """
     passed = light_at_line(vehicle, signals, snapshots)
     return passed.time if passed is not None and passed.letter in RED else None
 
@@ -100,7 +123,7 @@ def _by(adversary: bool, ego: bool) -> str:
 
 
 def _not_yielding(situation: Situation, bv: str, ego: str, before: Sequence[Snapshot]) -> str:
-    """Who had to give way where the ways meet."""
+    """Return who had to give way where the two ways meet."""
     seen = [s.raw[bv][:2] for s in before if bv in s.raw]
     if not seen:
         return NONE
@@ -110,19 +133,19 @@ def _not_yielding(situation: Situation, bv: str, ego: str, before: Sequence[Snap
     if way is None or way.conflict is None or math.hypot(way.conflict.x - x, way.conflict.y - y) > AT_CONFLICT_M:
         return NONE
     letters = [_letter(situation, name) for name in (bv, ego)]
-    if all(letters):  # a light rules there
+    if all(letters):  # traffic lights control the junction
         yields = [letter == MINOR_GREEN for letter in letters]
         return _by(yields[0] and letters[1] == MAJOR_GREEN, yields[1] and letters[0] == MAJOR_GREEN)
     return _by(*_by_sign(way, situation.road.rule))
 
 
 def _letter(situation: Situation, vehicle: str) -> str:
-    """What the next light shows a vehicle when the attack begins; empty without a light."""
+    """Return SUMO's letter of a vehicle's next light when the attack begins; empty without a light."""
     signals = situation.traffic.signals.get(vehicle, ())
     return signals[0][2] if signals else ""
 
 
 def _by_sign(way: ReferencePath, rule: str) -> tuple[bool, bool]:
-    """Whether the adversary and the ego have to give way to the other; ``rule``: SUMO's letter for the ego."""
+    """Return whether the adversary and the ego have to give way. SUMO's letter for the ego is ``rule``."""
     ego_yields = bool(rule) and rule not in FIRST_BY_SIGN and way.before_ego
     return way.gives_way and not ego_yields, ego_yields

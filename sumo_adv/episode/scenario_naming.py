@@ -1,4 +1,7 @@
-"""The named scenario of an attempt, from its result and the encounter (``words/naming.py`` has the rules)."""
+"""Name the scenario of an attempt, from its result and the encounter.
+
+``words/naming.py`` has the rules.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,26 @@ from sumo_adv.situation import Situation, Target
 from sumo_adv.words.motion import Course, Scene, follow
 from sumo_adv.words.naming import BEYOND_M, NamingContext, decisive, named
 
-WHILE_CHANGING_S = 1.0  # s after the decisive moment: a lane change that begins then was under way
+WHILE_CHANGING_S = 1.0  # s after the decisive moment; a lane change in this time was under way
 
 
 def scenario_of(
     proposal: Proposal, verdict: Verdict, result: AttemptResult, found: FoundEncounter, settings: Settings
 ) -> NamedScenario | None:
-    """The named scenario of an attempt; None if the ego or the adversary was gone at once."""
+    """Name the scenario that an attempt shows.
+
+    Args:
+        proposal: The candidate that was tried.
+        verdict: The verdict on the attempt.
+        result: The result of the attempt.
+        found: The encounter.
+        settings: The settings of the run.
+
+    Returns:
+        The scenario; None if the ego or the adversary left at once, or if the encounter has no situation with the
+            adversary
+        at that start.
+    """
     situation = found.situations.get(proposal.delay)
     target = None if situation is None else situation.targets.get(proposal.bv)
     if situation is None or target is None:
@@ -60,7 +76,7 @@ def scenario_of(
 
 
 def _at_a_junction(found: FoundEncounter, target: Target, course: Course, k: int) -> bool:
-    """Whether the two come together at a junction at which ways meet."""
+    """Return whether the two meet at a junction at which ways meet."""
     if target.relation == "crossing" or (found.place is not None and found.place.road is RoadClass.JUNCTION):
         return True
     crossings = [way.conflict for way in target.ways if way.conflict is not None and way.conflict.kind == "crossing"]
@@ -68,20 +84,20 @@ def _at_a_junction(found: FoundEncounter, target: Target, course: Course, k: int
 
 
 def _passes_red(situation: Situation, result: AttemptResult, last: float, *vehicles: str) -> bool:
-    """Whether one of the vehicles passes its stop line on red."""
+    """Return whether one of the vehicles passes its stop line on red."""
     before = [s for s in result.snapshots if result.start <= s.time <= last]
     signals = situation.traffic.signals
     return any(red_light_at(name, signals.get(name, ()), before) is not None for name in vehicles)
 
 
 def _turn(path: Path, course: Course, k: int) -> float:
-    """By how much the ego's path turns from the take-over to a little past the decisive moment [rad]."""
+    """Return how much the ego's path turns from the take-over to ``BEYOND_M`` past the decisive moment [rad]."""
     first, last = path.at(np.array([course.ego_along.s[0], course.ego_along.s[k] + BEYOND_M]))[2]
     return float(last - first)
 
 
 def _changes_lane(found: FoundEncounter, settings: Settings, until: float) -> bool:
-    """Whether the ego changes to another lane of its edge without an attack."""
+    """Return whether the ego changes to another lane of its edge without an attack."""
     tracks: list[Track] = tracks_of(found.baseline, found.sizes, {}, settings.step_length, (found.ego,))
     lanes = [lane for t in tracks for lane in t.between(-math.inf, until + WHILE_CHANGING_S).lane]
     return any(a != b and a.rpartition("_")[0] == b.rpartition("_")[0] != "" for a, b in pairwise(lanes))

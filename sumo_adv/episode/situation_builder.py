@@ -1,4 +1,4 @@
-"""From the tracks of an unattacked run to situations: one for each delay after the trigger that may be tried."""
+"""Build situations from the tracks of an unattacked run: one for each delay after the trigger that may be tried."""
 
 from __future__ import annotations
 
@@ -38,24 +38,37 @@ from sumo_adv.situation import (
 
 # -- when attacks may begin -----------------------------------------------------------------------------------------
 
-MAX_CONFLICT_TIME_S = 7.0  # from the start of an attack until the ego, or the first of both, is at the conflict
-MAX_START_SHIFT_S = 8.0  # s
-AT_ONCE_DISTANCE_M = 3.0  # m ahead within which no vehicle can slow down much
+MAX_CONFLICT_TIME_S = 7.0  # from the start of an attack until the conflict: the ego's, or that of the first of both
+MAX_START_SHIFT_S = 8.0  # the maximum shift of the delays of the settings
+AT_ONCE_DISTANCE_M = 3.0  # m; no vehicle can slow down much within this distance
 
 
 def delays(
     ranking: Sequence[RankedVehicle], tracks: Mapping[str, Track], ego_id: str, settings: Settings,
     *, both: bool = False,
 ) -> list[float]:  # fmt: skip
-    """Seconds after the trigger at which attacks may begin. tracks: the unattacked motion from the trigger on; both:
-    attacks begin before the adversary is at the conflict too."""
+    """Return when attacks may begin.
+
+    The delays of the settings are shifted to later if the conflict is far away.
+
+    Args:
+        ranking: The vehicles that could attack.
+        tracks: The unattacked motion from the trigger on, by id.
+        ego_id: The id of the ego.
+        settings: The settings of the run.
+        both: Whether the adversary must not be at the conflict either when the attack begins. Otherwise only the ego
+            counts.
+
+    Returns:
+        The delays after the trigger [s].
+    """
     soonest = min((_steps_to_conflict(c, tracks, ego_id, both) for c in ranking), default=0.0)
     shift = min(max(0.0, math.floor(soonest * settings.step_length - MAX_CONFLICT_TIME_S)), MAX_START_SHIFT_S)
     return [shift + d for d in settings.delays]
 
 
 def _steps_to_conflict(ranked: RankedVehicle, tracks: Mapping[str, Track], ego_id: str, both: bool) -> float:
-    """Steps until the unattacked ego can meet a ranked vehicle; 0 if it can at once."""
+    """Return the number of steps until the unattacked ego can meet a ranked vehicle; 0 if it can at once."""
     conflicts = [w.conflict for w in ranked.ways if w.conflict is not None]
     if not ranked.meets_ahead or not conflicts:
         return 0.0
@@ -68,13 +81,23 @@ def _steps_to_conflict(ranked: RankedVehicle, tracks: Mapping[str, Track], ego_i
 
 
 def _travelled(track: Track) -> Floats:
-    """Metres since the track began, ``(n,)``."""
+    """Return the distance travelled since the track began, ``(n,)`` [m]."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(track.x), np.diff(track.y)))])
 
 
 def spent(target: Target, lateral: float) -> bool:
-    """Whether no attack by a crossing or merging vehicle is feasible any more. It is past the conflict, or it turns
-    there with more than ``lateral`` [m/s2] at its speed. False for any other relation."""
+    """Return whether no attack by a crossing or merging vehicle is feasible any more.
+
+    This is so if none of its ways meets the ego's path any more, or if each of those that do bends too much for its
+    speed within the next ``AT_ONCE_DISTANCE_M``.
+
+    Args:
+        target: The vehicle.
+        lateral: The maximum lateral acceleration [m/s2].
+
+    Returns:
+        Whether no attack is feasible; False if the vehicle neither crosses nor merges.
+    """
     if target.relation not in MEET_AHEAD:
         return False
     k, square = max(int(target.station / PATH_STEP_M), 0), target.state.speed**2
@@ -86,23 +109,29 @@ def spent(target: Target, lateral: float) -> bool:
 
 # -- situations -----------------------------------------------------------------------------------------------------
 
-OTHERS_NEAR_M = 90.0  # m: a situation keeps the motion of vehicles that come this close to the unattacked ego
-NEXT_JUNCTION_GAP_M = 1.0  # m beyond the start of a junction: what begins there is another junction
-UNKNOWN_LANE_WIDTH_M = 3.2  # m, where the ego's lane is unknown
-FARTHEST_WAY_S = 20.0  # s at a BV's highest speed: covers an attempt and the plan made at its end
+OTHERS_NEAR_M = 90.0  # m; a situation keeps the motion of vehicles that come this close to the unattacked ego
+NEXT_JUNCTION_GAP_M = 1.0  # m; what begins this far beyond the start of a junction is another junction
+UNKNOWN_LANE_WIDTH_M = 3.2  # m, if the ego's lane is unknown
+FARTHEST_WAY_S = 20.0  # s at a BV's highest speed; covers an attempt and the plan made at its end
 MIN_ATTACK_S = 1.5  # s from the start of an attack to the end of a recording
-IN_SIGHT_M = 120.0  # m
-HISTORY_S = 1.1  # s before the trigger of which a situation keeps the states (the paper's)
+IN_SIGHT_M = 120.0  # m; a vehicle farther ahead does not count as ahead of the ego
+HISTORY_S = 1.1  # s before the trigger; a situation keeps the states from then on (as the paper does)
 
 
 @dataclass(frozen=True, slots=True)
 class TriggerState:
     """What the simulation knows at the trigger, besides the states of the vehicles.
 
-    time [s]; route, routes: the edges of the ego's whole route, and of the ranked vehicles' by id; signals, classes: by
-    id the lights ahead of the ego and of the ranked vehicles, and their vehicle classes in SUMO; left: steps until the
-    log that is played back ends, inf without a log; follows_log: whether a log moves background vehicles, so that they
-    do not react to the adversary.
+    Attributes:
+        ego: The id of the ego.
+        time: The time of the trigger [s].
+        ego_model: How the ego's driver is predicted.
+        route: The edges of the ego's whole route.
+        routes: The edges of the routes of the ranked vehicles, by id.
+        signals: The lights ahead of the ego and of the ranked vehicles, by id, with the distances to them [m].
+        classes: SUMO's classes of the ego and of the ranked vehicles, by id.
+        left: The number of steps until the log that is played back ends; inf without a log.
+        follows_log: Whether a log moves background vehicles, so that they do not react to the adversary.
     """
 
     ego: str
@@ -117,7 +146,16 @@ class TriggerState:
 
 
 def trigger_state(road: RoadMap, drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerState:
-    """The state of the simulation now."""
+    """Read the state of the simulation at the trigger, which is now.
+
+    Args:
+        road: The network.
+        drive: The simulation.
+        ranking: The vehicles that could attack. Those of a recording that come later have no route and no lights.
+
+    Returns:
+        The state.
+    """
     assert drive.ego is not None
     simulation, left = drive.simulation, drive.left()
     model = model_of(drive.controller, simulation.model(drive.ego))
@@ -133,7 +171,7 @@ def trigger_state(road: RoadMap, drive: Drive, ranking: Sequence[RankedVehicle])
 
 
 def _signals(road: RoadMap, drive: Drive, vehicle: str) -> tuple[Signal, ...]:
-    """The traffic lights ahead of a vehicle, with the metres from its front bumper to each."""
+    """Return the traffic lights ahead of a vehicle, with the distance from its front bumper to each [m]."""
     state, lights = drive.state(vehicle), drive.simulation.signals(vehicle)
     lane = road.lanes.get(state.lane)
     if lane is None or not lights:
@@ -148,8 +186,22 @@ def build_situations(
     road: RoadMap, tracks: Mapping[str, Track], trigger: TriggerState, ranking: Sequence[RankedVehicle],
     settings: Settings, delay: float | None = None,
 ) -> dict[float, Situation]:  # fmt: skip
-    """A situation for each delay [s] that may be tried; empty if the ranked vehicles leave at once. delay: the only
-    delay to try; None = those of ``delays``."""
+    """Build the situations of an encounter.
+
+    If the vehicles could not attack any more in any of them, the attacks are moved to earlier, before the adversary is
+    at the conflict.
+
+    Args:
+        road: The network.
+        tracks: The unattacked motion, by id.
+        trigger: The state at the trigger.
+        ranking: The vehicles that could attack.
+        settings: The settings of the run.
+        delay: The only delay to try [s]; None tries those of :func:`delays`.
+
+    Returns:
+        The situations by delay after the trigger [s]; empty if the ego or all ranked vehicles leave at once.
+    """
 
     def at(moments: Sequence[float]) -> dict[float, Situation]:
         return _situations(road, tracks, trigger, dict.fromkeys(moments, ranking), settings)
@@ -168,8 +220,20 @@ def recorded_situations(
     road: RoadMap, tracks: Mapping[str, Track], trigger: TriggerState,
     looks: Mapping[float, Sequence[RankedVehicle]], settings: Settings, delay: float | None = None,
 ) -> dict[float, Situation]:  # fmt: skip
-    """A situation for each look at a recording [s after the trigger] from which enough of it is left to be attacked.
-    looks: the vehicles that could attack then; delay: the only delay to try, with the vehicles of the nearest look."""
+    """Build the situations of an encounter in a recording.
+
+    Args:
+        road: The network.
+        tracks: The unattacked motion, by id.
+        trigger: The state at the trigger.
+        looks: The vehicles that could attack, by seconds after the trigger.
+        settings: The settings of the run.
+        delay: The only delay to try [s], with the vehicles of the nearest look; None tries all looks.
+
+    Returns:
+        The situations by delay after the trigger [s], for looks with at least ``MIN_ATTACK_S`` until the recording
+            ends.
+    """
     if delay is not None:
         looks = {delay: looks[min(looks, key=lambda d: abs(d - delay))]}
     enough = {
@@ -183,7 +247,7 @@ def _situations(
     road: RoadMap, tracks: Mapping[str, Track], trigger: TriggerState,
     looks: Mapping[float, Sequence[RankedVehicle]], settings: Settings,
 ) -> dict[float, Situation]:  # fmt: skip
-    """The situation after each delay [s] with these vehicles, where the ego and one of them are still there."""
+    """Build the situation after each delay [s], unless the ego or all of its ranked vehicles are gone then."""
     built = {d: build_situation(road, tracks, trigger, ranked, settings, d) for d, ranked in looks.items()}
     return {d: situation for d, situation in built.items() if situation is not None}
 
@@ -192,7 +256,19 @@ def build_situation(
     road: RoadMap, tracks: Mapping[str, Track], trigger: TriggerState, ranking: Sequence[RankedVehicle],
     settings: Settings, delay: float = 0.0,
 ) -> Situation | None:  # fmt: skip
-    """The situation ``delay`` s after the trigger; None if the ego or all ranked vehicles are gone by then."""
+    """Build the situation at one delay.
+
+    Args:
+        road: The network.
+        tracks: The unattacked motion, by id.
+        trigger: The state at the trigger.
+        ranking: The vehicles that could attack.
+        settings: The settings of the run.
+        delay: The delay after the trigger [s].
+
+    Returns:
+        The situation; None if the ego or all ranked vehicles are gone by then.
+    """
     time, ego_id, dt = trigger.time + delay, trigger.ego, settings.step_length
     vclass = trigger.classes[ego_id]
     ego_track = tracks[ego_id].between(time, math.inf)
@@ -208,9 +284,9 @@ def build_situation(
     targets = {}
     for ranked in ranking:
         track = tracks.get(ranked.id)
-        if track is not None and trigger.follows_log:  # the adversary begins without the noise of the log
+        if track is not None and trigger.follows_log:  # the attack begins without the noise of the log
             track = smoothed(track, time, settings.limits.limits())
-        kind = trigger.classes.get(ranked.id, CAR)  # a vehicle of a recording that comes later is a car to SUMO
+        kind = trigger.classes.get(ranked.id, CAR)  # SUMO takes a vehicle that comes later in a recording for a car
         target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()), kind)
         if target is not None:
             targets[ranked.id] = replace(target, hidden=_is_hidden(target.state, ego, tracks, time))
@@ -242,7 +318,7 @@ def build_situation(
 
 
 def _at_constant_velocity(situation: Situation) -> Situation:
-    """The situation with an ego that is predicted to keep its speed and not to react."""
+    """Predict an ego that keeps its speed and does not react."""
     speed = np.full_like(situation.baseline.v, situation.ego.speed)
     stations = situation.baseline.s[0] + situation.ego.speed * situation.dt * np.arange(len(speed))
     baseline = situation.baseline
@@ -251,7 +327,15 @@ def _at_constant_velocity(situation: Situation) -> Situation:
 
 
 def state_at(track: Track, time: float) -> VehicleState | None:
-    """The state of a track at a time [s]; None if the track has no state then."""
+    """Return the state of a track at a time.
+
+    Args:
+        track: The track.
+        time: The time [s].
+
+    Returns:
+        The state; None if the track has no state then.
+    """
     i = int(np.argmin(np.abs(track.time - time)))
     if abs(track.time[i] - time) > 1e-3:
         return None
@@ -263,7 +347,7 @@ def state_at(track: Track, time: float) -> VehicleState | None:
 
 
 def _ways_on(road: RoadMap, vehicle: VehicleState, route: tuple[str, ...], vclass: str) -> list[PathAhead]:
-    """The ways on of a vehicle of a class along its route; see ``RoadMap.ways``. None off all lanes."""
+    """Return the paths that a vehicle can take along its route (``RoadMap.ways``); none if it is off all lanes."""
     lane = lane_on_route(road, vehicle, route, vclass)
     if lane is None:
         return []
@@ -271,7 +355,7 @@ def _ways_on(road: RoadMap, vehicle: VehicleState, route: tuple[str, ...], vclas
 
 
 def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[float]:
-    """Stations [m] of the ego's path at which the junctions begin that it drives onto."""
+    """Return the stations on the ego's path at which the junctions begin that it drives onto [m]."""
     inside = [lane in road.lanes and road.lanes[lane].internal for lane in ego.lane]
     onto = [k for k in range(1, len(inside)) if inside[k] and not inside[k - 1] and ego.lane[k - 1] in road.lanes]
     ends = [road.lanes[ego.lane[k - 1]].shape[-1] for k in onto]
@@ -281,7 +365,7 @@ def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[
 def _ahead(
     tracks: Mapping[str, Track], ego: Track, path: Path, stations: Floats, dt: float, lane: float
 ) -> tuple[OnPath, ...]:
-    """Vehicles that are ahead of the unattacked ego at some time, within ``IN_SIGHT_M`` and in its lane or the next."""
+    """Find vehicles that are ahead of the unattacked ego within ``IN_SIGHT_M`` at some time, in its lane or the next one."""
     ahead = []
     for name, track in tracks.items():
         unattacked = track.between(float(ego.time[0]), math.inf)
@@ -295,13 +379,31 @@ def _ahead(
 
 
 def way_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...], vclass: str = CAR) -> PathAhead | None:
-    """The way on of an ego of a vehicle class; None if it is on no lane."""
+    """Return the path ahead of an ego.
+
+    Args:
+        road: The network.
+        ego: The state of the ego.
+        route: The edges of its route.
+        vclass: SUMO's class of the ego.
+
+    Returns:
+        The path; None if the ego is on no lane.
+    """
     ways = _ways_on(road, ego, route, vclass)
     return ways[0] if ways else None
 
 
 def goes_first(other: Connection | None, ego: Connection | None) -> bool:
-    """Whether the other vehicle has the right of way over the ego. True if the two pass different junctions."""
+    """Return whether another vehicle has the right of way over the ego.
+
+    Args:
+        other: The other vehicle's next connection.
+        ego: The ego's next connection.
+
+    Returns:
+        Whether it has; True if they pass different junctions, or if one of them passes none.
+    """
     if other is None or ego is None or other.link[0] != ego.link[0]:
         return True
     return other.link[1] in ego.yields_to
@@ -311,8 +413,18 @@ def _target(
     road: RoadMap, track: Track | None, ranked: RankedVehicle, time: float, path: Path, ego: Connection | None,
     route: tuple[str, ...], vclass: str,
 ) -> Target | None:  # fmt: skip
-    """``ego``: the ego's connection at its junction; ``route``: the vehicle's own edges, empty if unknown; ``vclass``:
-    its class."""
+    """Describe a vehicle that could attack; None if it is gone by then or has no way.
+
+    Args:
+        road: The network.
+        track: Its unattacked motion.
+        ranked: Its place in the ranking.
+        time: The time of the situation [s].
+        path: The ego's path.
+        ego: The ego's connection at its junction.
+        route: The edges of the vehicle's route; empty if unknown.
+        vclass: SUMO's class of the vehicle.
+    """
     bv = state_at(track, time) if track is not None else None
     if bv is None:
         return None
@@ -339,13 +451,13 @@ def _target(
 
 
 def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:
-    """Whether other boxes, standing or moving, hide a road user from the ego at a time [s]."""
+    """Return whether other boxes, standing or moving, hide a road user from the ego at a time [s]."""
     there = (state_at(t, time) for name, t in tracks.items() if name not in (bv.id, ego.id) and len(t.time))
     return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)], ego.z)[0]
 
 
 def _along(ways: Sequence[PathAhead], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:
-    """The index of the way that the route follows; None if it is unknown."""
+    """Return the index of the way that the route follows; None if it is unknown."""
     edge = road.lanes[lane].edge
     onward = route[route.index(edge) + 1 :][:1] if edge in route else route
     goes = (k for k, w in enumerate(ways) if w.first is not None and road.lanes[w.first.to].edge in onward)

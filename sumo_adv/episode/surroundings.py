@@ -1,4 +1,7 @@
-"""What the ego's driver sees: others, the path, its place in the lane, and the road map, each made when it is read."""
+"""Build what the ego's driver sees: other vehicles, the path, its place in the lane, and the road map.
+
+Each part is made when it is first read.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +35,20 @@ if TYPE_CHECKING:
 
 # -- line of sight --------------------------------------------------------------------------------------------------
 
-BUILDING = "building"  # types of SUMO's polygons that begin with it are buildings, as polyconvert names them
+BUILDING = "building"  # the types of SUMO's polygons that are buildings begin with it (as named by polyconvert)
 
 
 def read_buildings(files: Iterable[Path]) -> tuple[Floats, ...]:
-    """Outlines ``(n, 2)`` [m] of the buildings in SUMO's additional files: polygons with a type ``building...``.
-    Polygons in degrees (``geo``) are left out."""
+    """Read the buildings from SUMO's additional files.
+
+    These are polygons whose type begins with ``building``. Polygons in degrees (``geo``) are left out.
+
+    Args:
+        files: The files, which may be compressed (``.gz``).
+
+    Returns:
+        The outlines, each ``(n, 2)`` [m].
+    """
     outlines = []
     for file in files:
         with gzip.open(file, "rb") if file.suffix == ".gz" else file.open("rb") as stream:
@@ -53,16 +64,32 @@ def read_buildings(files: Iterable[Path]) -> tuple[Floats, ...]:
 
 
 class Sight:
-    """What can be seen past buildings with outlines ``(n, 2)`` [m]."""
+    """Tells what can be seen past buildings and boxes."""
 
     def __init__(self, buildings: Sequence[Floats] = ()) -> None:
+        """Index the buildings.
+
+        Args:
+            buildings: The outlines, each ``(n, 2)`` [m].
+        """
         from shapely import Polygon, STRtree
 
         self._tree = STRtree([Polygon(outline) for outline in buildings]) if len(buildings) else None
 
     def visible(self, eye: tuple[float, float], boxes: Sequence[VehicleState], eye_z: float = 0.0) -> Bools:
-        """Whether each box is seen from the point ``eye``: its centre or one of its corners, past the other boxes on
-        its layer or on that of the eye, on a road at height ``eye_z`` [m]."""
+        """Return which boxes can be seen from a point.
+
+        A box is visible if its centre or one of its corners is. Buildings block the view, and so do other boxes on its
+        layer or on that of the eye.
+
+        Args:
+            eye: The point (x, y) [m].
+            boxes: The boxes, which block the view of each other.
+            eye_z: The height of the road at the point [m].
+
+        Returns:
+            Whether each box is visible, ``(n,)``.
+        """
         if not boxes:
             return np.zeros(0, bool)
         targets = np.stack([_targets(box) for box in boxes])  # (n, 5, 2)
@@ -84,7 +111,7 @@ class Sight:
 
 
 def _targets(box: VehicleState) -> Floats:
-    """Centre and corners, ``(5, 2)``."""
+    """Return the centre and the corners of a box, ``(5, 2)``."""
     c, s = np.cos(box.heading), np.sin(box.heading)
     local = np.array([(0, 0), (1, 1), (1, -1), (-1, -1), (-1, 1)]) * (box.length / 2, box.width / 2)
     return np.asarray(local @ np.array([[c, s], [-s, c]]) + (box.x, box.y))
@@ -92,15 +119,22 @@ def _targets(box: VehicleState) -> Floats:
 
 # -- what the driver sees -------------------------------------------------------------------------------------------
 
-PATH_LENGTH_M, PATH_RENEWED_M = 120.0, 40.0  # of the path that a driver gets, and after how far it is renewed
-LAMP_RIGHT, LAMP_LEFT, LAMP_BRAKE = 1, 2, 8  # SUMO's bits of a vehicle's lamps
+PATH_LENGTH_M, PATH_RENEWED_M = 120.0, 40.0  # of the path for the driver, and after which distance it is renewed
+LAMP_RIGHT, LAMP_LEFT, LAMP_BRAKE = 1, 2, 8  # SUMO's bits for lamps of a vehicle
 
 
 class Surroundings:
-    """Makes the observations of one simulation that was just loaded."""
+    """Makes the observations of a simulation that was just loaded."""
 
     def __init__(self, road: RoadMap, meetings: Meetings, drive: Drive, additional: Sequence[Path] = ()) -> None:
-        """``additional``: files with buildings, for drivers that ask for them."""
+        """Read the buildings if the driver asks for them.
+
+        Args:
+            road: The network.
+            meetings: Finds where ways over a junction meet.
+            drive: The simulation.
+            additional: Files with buildings.
+        """
         self._map, self._drive = road, drive
         drive.heights = road.heights
         self._road = RoadHere(road, meetings, drive)
@@ -109,9 +143,14 @@ class Surroundings:
         self._sight = Sight(read_buildings(additional) if self._wishes.sees_buildings else ())
 
     def __call__(self, ego: VehicleState, near: Sequence[str]) -> Observation:
-        """What the driver of the ego sees now; ``near``: the vehicles near it."""
+        """Return what the ego's driver sees now.
+
+        Args:
+            ego: The state of the ego.
+            near: The ids of the vehicles near the ego.
+        """
         drive = self._drive
-        place = drive.place(self._map)  # also if it is not read: it may restore the ego's route
+        place = drive.place(self._map)  # needed even if it is not read, because it may restore the ego's route
         senses = SensesNow(drive, ego, near, self._sight)
         road = self._road(ego, place)
         path = partial(self._path, ego, place)
@@ -122,7 +161,7 @@ Points = Sequence[tuple[float, float]]
 
 
 class ObservationNow(Observation):
-    """An observation of which each part is worked out when it is first read."""
+    """An observation whose parts are worked out when they are first read."""
 
     _place: LanePlace | None
     _senses: SensesNow
@@ -134,9 +173,24 @@ class ObservationNow(Observation):
         cls, drive: Drive, ego: VehicleState, place: LanePlace | None, senses: SensesNow, road: Road | None,
         find_path: Callable[[], Points | None], *, visible_only: bool,
     ) -> ObservationNow:  # fmt: skip
-        """The observation of one step. The constructor is that of ``Observation``, for ``dataclasses.replace``."""
+        """Make the observation of one step.
+
+        The constructor is that of ``Observation``, so that ``dataclasses.replace`` works.
+
+        Args:
+            drive: The simulation.
+            ego: The state of the ego.
+            place: The place of the ego on its route; None while it is off all lanes.
+            senses: Tells of the vehicles near the ego.
+            road: The road at the ego.
+            find_path: Returns the path.
+            visible_only: Whether to leave out vehicles that are out of sight.
+
+        Returns:
+            The observation.
+        """
         seen = cls(drive.now, drive.recording.step_length, ego, (), road=road)
-        vars(seen).clear()  # the constructor has given what is worked out later a value
+        vars(seen).clear()  # the constructor has set parts that are worked out later
         vars(seen).update(_place=place, _senses=senses, _find_path=find_path, _visible_only=visible_only)
         return seen
 
@@ -167,7 +221,17 @@ class ObservationNow(Observation):
 
 
 def in_lane(place: LanePlace, ego: VehicleState) -> tuple[float, float]:
-    """Heading of the ego's lane at its centre [rad] and offset of the centre from the lane's [m, left positive]."""
+    """Place the ego in its lane.
+
+    Args:
+        place: The place of the ego on its route.
+        ego: The state of the ego.
+
+    Returns:
+        The heading of the lane at the ego's centre [rad], and the offset of the ego's centre from the lane's centre [m,
+            left
+        positive].
+    """
     points = place.lane.shape.tolist()
     best = (math.inf, 0.0, 0.0)
     last = len(points) - 2
@@ -183,17 +247,36 @@ def in_lane(place: LanePlace, ego: VehicleState) -> tuple[float, float]:
 
 
 class LaneLine:
-    """The centreline of the ego's lane and route ahead. It is the same object until it is renewed."""
+    """Gives the centreline of the ego's lane and route ahead.
+
+    It stays the same object until it is renewed: after the ego has moved by ``PATH_RENEWED_M``, or once its lanes
+    change.
+    """
 
     def __init__(self, road: RoadMap, drive: Drive, ahead: float | None = None) -> None:
-        """``ahead``: how far ahead of the ego the line reaches at least [m]; None: as far as by default."""
+        """Start without a line.
+
+        Args:
+            road: The network.
+            drive: The simulation.
+            ahead: The minimum length of the line ahead of the ego [m]; None keeps the default.
+        """
         self._road, self._drive = road, drive
         self._length = PATH_LENGTH_M if ahead is None else max(PATH_LENGTH_M, ahead + PATH_RENEWED_M)
         self._lanes: tuple[str, ...] = ()
         self._from, self._line = (0.0, 0.0), tuple[tuple[float, float], ...]()
 
     def __call__(self, ego: VehicleState, place: LanePlace | None) -> Sequence[tuple[float, float]] | None:
-        """(x, y) [m] every metre from the ego on; None off the road."""
+        """Return the line.
+
+        Args:
+            ego: The state of the ego.
+            place: The place of the ego on its route; None while it is off all lanes.
+
+        Returns:
+            Points (x, y) [m], one every metre, from where the ego was when the line was last renewed. None off the
+                road.
+        """
         drive, logged, vclass = self._drive, self._drive.replayed(), self._drive.kind(ego.id)
         lanes: tuple[str, ...] = (ego.lane,) if place is None else (place.lane.id,)
         if place is not None and not logged:
@@ -217,15 +300,27 @@ class LaneLine:
 
 
 class SensesNow:
-    """What can be told of the vehicles near the ego in one step. Raises SimulationError once that step is over."""
+    """What can be told of the vehicles near the ego in one step.
+
+    Raises:
+        SimulationError: It is asked after the step is over.
+    """
 
     def __init__(self, drive: Drive, ego: VehicleState, near: Sequence[str], sight: Sight) -> None:
+        """Take the states of this step.
+
+        Args:
+            drive: The simulation.
+            ego: The state of the ego.
+            near: The ids of the vehicles near the ego.
+            sight: Tells what can be seen.
+        """
         self._drive, self._ego, self._near, self._sight, self._time = drive, ego, near, sight, drive.now
         self._snapshot, self._before = drive.snapshot, drive.recording.before
 
     @cached_property
     def vehicles(self) -> tuple[Vehicle, ...]:
-        """The states of those vehicles then; also later."""
+        """The states of these vehicles in the step; they can be read after it, too."""
         make, newest, before = self._drive.simulation.state_as, self._snapshot, self._before
         step = self._drive.recording.step_length
         return tuple(make(Vehicle, newest, n, acceleration(n, newest, before, step), self) for n in self._near)
@@ -267,7 +362,14 @@ class SensesNow:
         return 0 if vehicle in self._drive.obstacles else self._drive.simulation.lamps(vehicle)
 
     def check(self, what: str = "more of a vehicle") -> None:
-        """Raises SimulationError: the step is over."""
+        """Check that the step is not over.
+
+        Args:
+            what: What is read, for the message.
+
+        Raises:
+            SimulationError: The step is over.
+        """
         if self._drive.now != self._time:
             raise SimulationError(
                 f"{what} of an observation of {self._time:g} s was read at {self._drive.now:g} s: "
