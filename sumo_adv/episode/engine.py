@@ -1,4 +1,4 @@
-"""What the engine process of an episode can be asked for: its calls, and what crosses between it and the front.
+"""Define what the engine process of an episode can be asked for: its calls, and what crosses between it and the front.
 
 ``worker.py:EpisodeWorker`` implements the methods of ``EpisodeCalls``. The front calls them as
 ``engine.call(EpisodeCalls.seek, "")``, and does not load the modules that only the engine process needs.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PlannerQuestion:
-    """A question of an attempt to a planner that answers in the front's sandbox.
+    """A question of an attempt to a planner, which the front answers in its sandbox.
 
     Attributes:
         index: The index of the attempt among those of the call, or of the reference driver in ``REFERENCE_DRIVERS``.
@@ -38,21 +38,29 @@ class PlannerQuestion:
 
 
 Director: TypeAlias = "Callable[[OpenEncounter, Connection, AskOne], Callable[[], None]]"
-"""Returns what makes an attempt that the front directs.
+"""Returns a function that makes an attempt which the front directs.
 
-It gets the encounter at its trigger, the connection to the front, which sends None at the end, and what asks the
-planner of the attempt's proposal in the front's sandbox.
+It gets the encounter at its trigger, the connection to the front, and a function that asks the planner of the attempt's
+proposal in the front's sandbox. The front sends None at the end.
 """
 
 
 class EpisodeCalls(Protocol):
-    """The calls of an episode: ``open`` comes first, then ``seek``, and the others on the encounter that it finds."""
+    """The calls of an episode. ``open`` comes first, then ``seek``. The others concern the encounter that it finds."""
 
     def open(self, task: Task) -> None:
-        """Start SUMO. Raises SimulationError or UsageError."""
+        """Start SUMO.
+
+        Args:
+            task: What to simulate.
+
+        Raises:
+            SimulationError: SUMO does not start.
+            UsageError: The task cannot be run.
+        """
 
     def forks(self) -> bool:
-        """Return whether attempts run in forks; otherwise the simulation is loaded again for each."""
+        """Return whether attempts run in forks. Otherwise the simulation is loaded again for each attempt."""
 
     def driver_time(self) -> DriverTime | None:
         """Return how long the driver's answers took so far, in all forks; None if SUMO drives the ego."""
@@ -63,22 +71,38 @@ class EpisodeCalls(Protocol):
         Args:
             passed_over: Why the last encounter is not attacked; empty at first.
             within: The time after which none is sought any more [s].
+
+        Returns:
+            The encounter, or why there is none.
         """
 
     def unattacked_seconds(self) -> float:
-        """Return how long the motions without an attack took so far [s]."""
+        """Return how long the runs without an attack took so far [s]."""
 
     def prefix(self) -> Prefix:
         """Return the simulation from its start to the trigger."""
 
     def lanes(self, x: float, y: float, radius: float) -> list[LaneStrip]:
-        """Return all lanes within ``radius`` [m] of a place, for pictures."""
+        """Return all lanes near a place, for pictures.
+
+        Args:
+            x: The x of the place [m].
+            y: The y of the place [m].
+            radius: The distance from the place [m].
+        """
 
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
-        """Simulate attempts from the trigger; as many run at the same time as there are slots.
+        """Simulate attempts from the trigger on.
 
-        Questions to planners come as ``PlannerQuestion``. An attempt has the ending ``crashed`` if SUMO dies in it
-        and again when it is repeated, or if the ego's driver does not let it end.
+        As many attempts run at the same time as there are slots. Questions to planners come as ``PlannerQuestion``. An
+        attempt has the ending ``crashed`` if SUMO dies in it and again when it is repeated, or if the ego's driver does
+        not let it end.
+
+        Args:
+            plans: The candidates.
+
+        Returns:
+            The results, in the order of ``plans``.
         """
 
     def references(
@@ -86,23 +110,25 @@ class EpisodeCalls(Protocol):
     ) -> Preventability | None:
         """Return which reference drivers avoid the collision of an attempt, kinematically and in the loop.
 
-        In the loop ``cc_human`` comes first, and the others that make a collision valid only if it fails.
+        In the loop ``cc_human`` drives first. The others that make a collision valid drive only if ``cc_human`` fails.
 
         Args:
             proposal: The attempt's proposal.
             result: The attempt's result.
-            known: Answers of reference drivers that have driven in the loop before. They do not drive again.
-            all_drivers: Whether all reference drivers drive in the loop.
+            known: The answers of reference drivers that have driven in the loop before. They do not drive again.
+            all_drivers: Whether all reference drivers that avoid the collision kinematically drive in the loop.
 
         Returns:
-            The answers; None if there was no collision that counts, or if SUMO dies.
+            The answers; None if no collision counts, or if SUMO dies.
         """
 
     def directed_attempt(self, prepare: Director) -> None:
-        """Simulate an attempt from the trigger on that the front directs by messages in the first slot.
+        """Simulate an attempt that the front directs, from the trigger on.
+
+        The front sends its messages in the first slot, and answers the planner's questions in the second.
 
         Args:
-            prepare: It is called before the fork, and what it returns in the fork.
+            prepare: Is called before the fork. What it returns is called in the fork.
         """
 
 
@@ -110,7 +136,11 @@ EpisodeEngine: TypeAlias = Engine[EpisodeCalls]
 
 
 def episode_worker(slots: list[Connection]) -> EpisodeCalls:
-    """Make the worker of one episode, in its process."""
+    """Make the worker of an episode, in its process.
+
+    Args:
+        slots: The connections of forks to the front.
+    """
     from sumo_adv.episode.worker import EpisodeWorker
 
     return EpisodeWorker(slots)

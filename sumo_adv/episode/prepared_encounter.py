@@ -1,4 +1,4 @@
-"""An encounter that is ready for attacks: the bank's library, the search with its first candidates, and the intents."""
+"""Prepare an encounter for attacks: the bank's library, the search with its first candidates, and the intents."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class PreparedEncounter:
     Attributes:
         found: The encounter.
         predictor: Predicts candidates.
-        library: The bank's intents, with those for pedestrians and cyclists near.
-        scene: What the bank compares this encounter by.
+        library: The bank's intents, including those for pedestrians and cyclists near the ego.
+        scene: The signature by which the bank compares this encounter with others.
         search: The search for attacks.
         known: The intent recalled from a similar scene; None if there is none.
         selection: The intents that may be tried.
-        teamwork: What an analyzer may compose; None if one adversary is all that is allowed.
+        teamwork: What an analyzer may compose; None if only one adversary is allowed.
         network: The name of the run's input.
         bandit: How the planners of each intent were ordered, for the manifest.
         timing: How long each part took [s].
@@ -64,7 +64,10 @@ class PreparedEncounter:
 
     @property
     def reaches(self) -> bool:
-        """Whether some candidate is predicted to collide, or an intent is recalled."""
+        """Whether an intent is recalled, or a candidate is predicted to reach the ego in a way that counts.
+
+        Also true if candidates are left and nothing is predicted.
+        """
         return self.known is not None or self.search.reaches
 
 
@@ -72,11 +75,24 @@ def prepare(
     found: FoundEncounter, run_input: RunInput, settings: Settings, task: Task, sandbox: Sandbox, bank: MemoryBank,
     agents: Agents | None = None, *, stopped: Mapping[str, int] | None = None, forecast: bool = False,
 ) -> PreparedEncounter:  # fmt: skip
-    """Return an encounter with the bank's library and the predictions of the first candidates.
+    """Prepare an encounter for attacks.
 
-    A driver that is not known is asked, not predicted, unless ``forecast``: for those that cannot ask it by attempts.
-    With ``recall = scene`` the search starts with a candidate that succeeded in a similar scene. ``stopped``: how many
-    calls of each planner ran into a limit in earlier encounters, by hash.
+    With ``recall = scene``, the search starts with a candidate that succeeded in a similar scene.
+
+    Args:
+        found: The encounter.
+        run_input: The input of the run.
+        settings: The settings of the run.
+        task: The task of the episode.
+        sandbox: Runs the planners.
+        bank: The memory bank.
+        agents: The analyzer, generator and modifier; None if there are none.
+        stopped: How many calls of each planner ran into a limit in earlier encounters, by hash.
+        forecast: Whether to predict a driver that is not known, for callers that cannot ask the driver by attempts.
+            Otherwise such a driver is predicted only if a model plays the analyzer and is shown evidence.
+
+    Returns:
+        The encounter with the library and the predictions of the first candidates.
     """
     clock = PartsClock()
     with clock.part("prediction"):
@@ -120,8 +136,23 @@ def analyze(
     record: EncounterRecord, prepared: PreparedEncounter, settings: Settings, agents: Agents, bank: MemoryBank,
     keep: Keep,
 ) -> tuple[EncounterRecord, Sequence[LibraryEntry]]:  # fmt: skip
-    """Return the record with the intents of an encounter, and the library with retrieved or generated planners for new
-    intents. Raises ModelError: a language model plays a part and failed."""
+    """Have the analyzer choose the intents of an encounter.
+
+    Args:
+        record: The record of the encounter.
+        prepared: The prepared encounter.
+        settings: The settings of the run.
+        agents: The analyzer, generator and modifier.
+        bank: The memory bank.
+        keep: Called with the record as it grows.
+
+    Returns:
+        The record with the intents, and the library with retrieved or generated planners for new intents.
+
+    Raises:
+        ModelError: A language model plays a part and failed.
+        UsageError: An attack is asked for in words, and no model reads them.
+    """
     situations, library, clock = prepared.found.situations, prepared.library, PartsClock()
     try:
         with clock.part("analyzer"):
@@ -151,7 +182,7 @@ def _draw_from(
     entries: Sequence[LibraryEntry], record: EncounterRecord, prepared: PreparedEncounter, settings: Settings,
     agents: Agents,
 ) -> None:  # fmt: skip
-    """Have the search draw from what the analyzer chose: its library, and the intents and casts of the record."""
+    """Have the search draw from the analyzer's choice: its library, and the intents and casts of the record."""
     labels = {i.label for i in record.intents}
     if entries != prepared.library or any(composed(e) and e.label in labels for e in entries):
         prepared.search.extend([e for e in entries if not composed(e) or e.label in labels])
@@ -162,7 +193,7 @@ def _draw_from(
 
 
 def _with_request(record: EncounterRecord, settings: Settings, agents: Agents) -> EncounterRecord:
-    """Keep what a model made of the words of ``ask``, or why they cannot be played here. Raises UsageError."""
+    """Add to the record what a model made of the words of ``ask``, or why they cannot be played here."""
     if settings.ask is None:
         return record
     if agents.asked is None:  # no model, or one that failed and was replaced

@@ -53,8 +53,7 @@ class RoadNear:
 
         Returns:
             The lanes within ``LANES_RADIUS_M``. Lanes that pass over or under the path are left out unless they belong
-                to it or
-            meet it.
+            to it or meet it.
         """
         key = tuple(lane.id for lane in route[:3])
         on = {lane.id for lane in route}

@@ -82,8 +82,7 @@ def light_at_line(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[S
 
     Returns:
         The time and the letter. None if the vehicle has no light ahead or does not pass the line, or if the letter is
-            not
-        known at that time.
+        not known at that time.
     """
     if not signals:
         return None

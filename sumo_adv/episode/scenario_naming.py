@@ -37,8 +37,7 @@ def scenario_of(
 
     Returns:
         The scenario; None if the ego or the adversary left at once, or if the encounter has no situation with the
-            adversary
-        at that start.
+        adversary at that start.
     """
     situation = found.situations.get(proposal.delay)
     target = None if situation is None else situation.targets.get(proposal.bv)

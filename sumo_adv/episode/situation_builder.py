@@ -1,4 +1,4 @@
-"""Build situations from the tracks of an unattacked run: one for each delay after the trigger that may be tried."""
+"""Build situations from the tracks of an unattacked run, one for each delay after the trigger that may be tried."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ from sumo_adv.situation import (
 
 # -- when attacks may begin -----------------------------------------------------------------------------------------
 
-MAX_CONFLICT_TIME_S = 7.0  # from the start of an attack until the conflict: the ego's, or that of the first of both
-MAX_START_SHIFT_S = 8.0  # the maximum shift of the delays of the settings
+MAX_CONFLICT_TIME_S = 7.0  # from the start until the ego, or with ``both`` the first of the two, is at the conflict
+MAX_START_SHIFT_S = 8.0  # added to the delays of the settings at most
 AT_ONCE_DISTANCE_M = 3.0  # m; no vehicle can slow down much within this distance
 
 
@@ -56,7 +56,7 @@ def delays(
         tracks: The unattacked motion from the trigger on, by id.
         ego_id: The id of the ego.
         settings: The settings of the run.
-        both: Whether the adversary must not be at the conflict either when the attack begins. Otherwise only the ego
+        both: Whether attacks also begin before the adversary is at the conflict. Otherwise only the ego's arrival
             counts.
 
     Returns:
@@ -151,7 +151,7 @@ def trigger_state(road: RoadMap, drive: Drive, ranking: Sequence[RankedVehicle])
     Args:
         road: The network.
         drive: The simulation.
-        ranking: The vehicles that could attack. Those of a recording that come later have no route and no lights.
+        ranking: The vehicles that could attack. Vehicles of a recording that come later get no entries.
 
     Returns:
         The state.
@@ -188,8 +188,8 @@ def build_situations(
 ) -> dict[float, Situation]:  # fmt: skip
     """Build the situations of an encounter.
 
-    If the vehicles could not attack any more in any of them, the attacks are moved to earlier, before the adversary is
-    at the conflict.
+    If no vehicle could attack any more at any of the usual delays, attacks begin earlier, before the adversary is at
+    the conflict.
 
     Args:
         road: The network.
@@ -232,7 +232,7 @@ def recorded_situations(
 
     Returns:
         The situations by delay after the trigger [s], for looks with at least ``MIN_ATTACK_S`` until the recording
-            ends.
+        ends.
     """
     if delay is not None:
         looks = {delay: looks[min(looks, key=lambda d: abs(d - delay))]}
@@ -365,7 +365,7 @@ def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[
 def _ahead(
     tracks: Mapping[str, Track], ego: Track, path: Path, stations: Floats, dt: float, lane: float
 ) -> tuple[OnPath, ...]:
-    """Find vehicles that are ahead of the unattacked ego within ``IN_SIGHT_M`` at some time, in its lane or the next one."""
+    """Find vehicles that are ahead of the unattacked ego at some time, within ``IN_SIGHT_M`` and 1.5 lane widths."""
     ahead = []
     for name, track in tracks.items():
         unattacked = track.between(float(ego.time[0]), math.inf)

@@ -229,8 +229,7 @@ def in_lane(place: LanePlace, ego: VehicleState) -> tuple[float, float]:
 
     Returns:
         The heading of the lane at the ego's centre [rad], and the offset of the ego's centre from the lane's centre [m,
-            left
-        positive].
+        left positive].
     """
     points = place.lane.shape.tolist()
     best = (math.inf, 0.0, 0.0)
@@ -275,7 +274,7 @@ class LaneLine:
 
         Returns:
             Points (x, y) [m], one every metre, from where the ego was when the line was last renewed. None off the
-                road.
+            road.
         """
         drive, logged, vclass = self._drive, self._drive.replayed(), self._drive.kind(ego.id)
         lanes: tuple[str, ...] = (ego.lane,) if place is None else (place.lane.id,)

@@ -1,8 +1,9 @@
-"""Foresees traffic without an attack from the states up to now, for simulations that cannot be forked.
+"""Predict traffic without an attack from the states up to now, for simulations that cannot be forked.
 
-Each vehicle follows its route, or goes straight on if its route is unknown. Its acceleration over the last second fades
-within about a second (within five if it gains speed). Then it keeps its speed, limited by its leader (Krauss's safe
-speed), by the speed limits of the lanes ahead and by red lights.
+Each vehicle follows its route. If its route is unknown, it goes as straight on as the lanes allow, and off the road it
+goes straight on. Its acceleration over the last second fades with a time constant of 1 s, or of 5 s if it is above
+``GAINING_ACCELERATION_M_S2``. Then it keeps its speed, limited by its leader (Krauss's safe speed), by the speed limits
+of the lanes ahead, and by red and yellow lights.
 """
 
 from __future__ import annotations
@@ -22,22 +23,32 @@ from sumo_adv.geometry import PATH_STEP_M, Path, make_path, same_layer, wrap
 from sumo_adv.metrics.boxes import height_as
 from sumo_adv.simulation.network import NetworkLane, RoadMap
 
-FORECAST_RADIUS_M = 250.0  # m around the ego within which vehicles are foreseen
-ACCELERATION_FADING_S = 1.0  # time constant of the present acceleration
-ACCELERATION_GAINING_S = 5.0  # the same above ``GAINING_ACCELERATION_M_S2``
+FORECAST_RADIUS_M = 250.0  # m; vehicles within this distance of the ego are predicted
+ACCELERATION_FADING_S = 1.0  # time constant of the present acceleration's decay
+ACCELERATION_GAINING_S = 5.0  # its time constant above ``GAINING_ACCELERATION_M_S2``
 GAINING_ACCELERATION_M_S2 = 1.0  # m/s2
 CENTRING_S = 1.5  # s, time constant of the return to the lane's centre
 FORECAST_BRAKING_M_S2 = 3.0  # m/s2, braking for what is ahead
-FORECAST_TAU_S, FORECAST_MIN_GAP_M = 1.0, 2.0  # of the safe speed behind a leader
-SAFE_SPEED_BRAKING_M_S2 = 4.5  # the same
-LEADER_OFFSET_M, LEADER_HEADING_RAD = 1.5, 0.6  # m, rad: largest offset and turn of a leader from the follower's path
-LEADER_SEARCH_M = 150.0  # largest distance of a possible leader
-POSSIBLE_LEADER_HEADING_RAD = 2.2  # largest relative heading of a possible leader
+FORECAST_TAU_S, FORECAST_MIN_GAP_M = 1.0, 2.0  # s and m; for the safe speed behind a leader
+SAFE_SPEED_BRAKING_M_S2 = 4.5  # for the safe speed behind a leader
+LEADER_OFFSET_M, LEADER_HEADING_RAD = 1.5, 0.6  # m, rad: maximum offset and turn of a leader from the follower's path
+LEADER_SEARCH_M = 150.0  # maximum distance of a possible leader
+POSSIBLE_LEADER_HEADING_RAD = 2.2  # maximum relative heading of a possible leader
 
 
 @dataclass(frozen=True, slots=True)
 class ForecastPath:
-    """The way on of one vehicle: path, station and offset [m] on it, highest speed [m/s] at each sample, its lanes."""
+    """The predicted path of one vehicle.
+
+    Attributes:
+        state: The state of the vehicle now.
+        path: The path.
+        station: Where the vehicle is on the path now [m].
+        offset: Its offset from the path now [m].
+        cap: The highest speed at each sample of the path [m/s].
+        lanes: The ids of the lanes.
+        ends: The station at which each lane ends [m].
+    """
 
     state: VehicleState
     path: Path
@@ -45,11 +56,20 @@ class ForecastPath:
     offset: float
     cap: Floats
     lanes: tuple[str, ...]
-    ends: Floats  # station at which each lane ends [m]
+    ends: Floats
 
 
 def traffic_forecast(road: RoadMap, drive: Drive, duration: float) -> dict[str, Track]:
-    """Tracks of the ego and of vehicles within ``FORECAST_RADIUS_M``: the last second and the next ``duration`` s."""
+    """Predict the traffic near the ego.
+
+    Args:
+        road: The network.
+        drive: The simulation.
+        duration: How far to predict [s].
+
+    Returns:
+        The tracks of the ego and of the vehicles within ``FORECAST_RADIUS_M``, by id. They begin ``HISTORY_S`` ago.
+    """
     assert drive.ego is not None
     ego, dt = drive.state(drive.ego), drive.recording.step_length
     seen = [ego, *(drive.state(name) for name in drive.near(ego, FORECAST_RADIUS_M))]
@@ -62,7 +82,17 @@ def traffic_forecast(road: RoadMap, drive: Drive, duration: float) -> dict[str, 
 
 
 def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) -> ForecastPath:
-    """The way on of a vehicle; straight on if it is off the road."""
+    """Find the path that a vehicle is going to take.
+
+    Args:
+        road: The network.
+        drive: The simulation.
+        state: The state of the vehicle.
+        duration: How long it goes on [s].
+
+    Returns:
+        The path; straight on if the vehicle is off the road.
+    """
     reach = min(WAY_AHEAD_M, max(60.0, (state.speed + 2.0) * duration))
     if state.lane not in road.lanes:
         c, s = math.cos(state.heading), math.sin(state.heading)
@@ -84,7 +114,7 @@ def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) ->
 
 
 def _place(road: RoadMap, drive: Drive, state: VehicleState, vclass: str) -> tuple[NetworkLane, float, tuple[str, ...]]:
-    """The lane of a vehicle on its route, the metres along it to its front bumper, and its edges from there on."""
+    """Return a vehicle's lane on its route, the station of its front bumper there [m], and its edges from there on."""
     place = drive.place(road) if state.id == drive.ego else None
     if place is not None:
         return place.lane, place.front, place.route
@@ -94,32 +124,48 @@ def _place(road: RoadMap, drive: Drive, state: VehicleState, vclass: str) -> tup
 
 
 def _stations(path: Path) -> Floats:
+    """Return the stations of a path's samples [m]."""
     return np.asarray(PATH_STEP_M * np.arange(len(path.x)), float)
 
 
 def _caps(limits: Floats, path: Path, ends: Floats, state: VehicleState) -> Floats:
-    """Highest speed [m/s] at each sample, from the limits of the lanes. A vehicle over the limit now exceeds later
-    limits by the same factor."""
+    """Return the highest speed at each sample, from the limits of the lanes [m/s].
+
+    A vehicle that is faster than the limit now exceeds later limits by the same factor.
+    """
     over = max(1.0, state.speed / max(float(limits[0]), 0.1))
     place = np.minimum(np.searchsorted(ends, _stations(path)), len(limits) - 1)
     return _towards(path, (over * limits[place]) ** 2)
 
 
 def _towards(path: Path, square: Floats) -> Floats:
-    """Speeds from which comfortable braking reaches the squared speeds ahead."""
+    """Return the speeds from which comfortable braking reaches the squared speeds ahead."""
     gained = 2 * FORECAST_BRAKING_M_S2 * _stations(path)
     least = np.minimum.accumulate((square + gained)[::-1])[::-1]
     return np.asarray(np.sqrt(np.maximum(least - gained, 0.0)))
 
 
 def _acceleration(recorded: Track) -> float:
-    """The mean over the last second [m/s2]: that of a single step is mostly a driver's noise (sigma)."""
+    """Return the mean acceleration over the recorded track [m/s2].
+
+    The acceleration of a single step is mostly a driver's noise (sigma).
+    """
     since = recorded.time[-1] - recorded.time[0]
     return 0.0 if since <= 0 else float(recorded.speed[-1] - recorded.speed[0]) / float(since)
 
 
 def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) -> tuple[Floats, Floats]:
-    """Metres travelled and speeds, ``(n, steps + 1)``; ``a``: present accelerations [m/s2], ``(n,)``."""
+    """Predict the motions along the paths.
+
+    Args:
+        courses: The paths of ``n`` vehicles.
+        a: Their present accelerations, ``(n,)`` [m/s2].
+        steps: The number of steps.
+        dt: The step length [s].
+
+    Returns:
+        The distances travelled [m] and the speeds [m/s], each ``(n, steps + 1)``.
+    """
     n = len(courses)
     leader, gap = _leaders(courses)
     follows = leader >= 0
@@ -149,7 +195,7 @@ def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) 
 
 
 def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
-    """For each vehicle the index of the next vehicle ahead on its path (-1: none), and the gap to it [m]."""
+    """Return the index of the next vehicle ahead on each vehicle's path (-1: none), and the gap to it [m]."""
     x, y, h, z = (np.array([getattr(c.state, k) for c in courses]) for k in ("x", "y", "heading", "z"))
     half = np.array([c.state.length / 2 for c in courses])
     leader, room = np.full(len(courses), -1), np.full(len(courses), math.inf)
@@ -174,7 +220,7 @@ def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
 
 
 def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, dt: float) -> Track:
-    """The recorded track, continued by the foreseen motion."""
+    """Continue a recorded track with the predicted motion."""
     after = dt * np.arange(1, len(travelled))
     s = c.station + travelled[1:]
     x, y, heading = c.path.at(s, c.offset * np.exp(-after / CENTRING_S))
@@ -192,7 +238,16 @@ def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, d
 
 
 def apart(tracks: Mapping[str, Track], state: VehicleState, time: float) -> tuple[float, float]:
-    """Difference in position [m] and speed [m/s] between a vehicle and its forecast; inf without a forecast."""
+    """Compare a vehicle with its prediction.
+
+    Args:
+        tracks: The predicted tracks by id.
+        state: The state of the vehicle.
+        time: The time of the state [s].
+
+    Returns:
+        The difference in position [m] and speed [m/s]; inf without a prediction for this time.
+    """
     track = tracks.get(state.id)
     if track is None or time > track.time[-1] + 1e-3:
         return math.inf, math.inf

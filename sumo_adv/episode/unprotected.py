@@ -1,8 +1,8 @@
-"""Pedestrians and cyclists as adversaries: which may attack, their ways, and how dangerous they can be.
+"""Pedestrians and cyclists as adversaries: which of them may attack, their ways, and how dangerous they can be.
 
-Their ways are not lanes.  ``along``: straight on, or along the lane of a cyclist.  ``across``: a turn, as tight as the
-kind can walk or ride it, and then straight over the ego's path.  A pedestrian or cyclist that moves has several such
-ways; each begins some seconds later than the one before.
+Their ways are not lanes. An ``along`` way goes straight on, or along the lane of a cyclist. An ``across`` way turns as
+tightly as the pedestrian or cyclist can, and then goes straight over the ego's path. A pedestrian or cyclist that moves
+has several ``across`` ways, whose turns begin one second after each other.
 """
 
 from __future__ import annotations
@@ -21,23 +21,29 @@ from sumo_adv.simulation.network import PathAhead
 from sumo_adv.simulation.permissions import CYCLES, ON_FOOT
 from sumo_adv.situation import ReferencePath, relate
 
-STANDING_SPEED_M_S = 0.3  # m/s, a slower pedestrian turns on the spot
-TURN_DELAYS_S = (0.0, 1.0, 2.0, 3.0, 4.0)  # s of going on until the turn
-MIN_STRAIGHT_M = 1.0  # m before a turn: paths are smoothed over as much, and would begin turned
-WAY_ACROSS_M = 30.0  # m of a way after the turn
-TURN_ACCELERATION_M_S2 = 2.5  # m/s2 sideways in a turn, more than people are used to and less than the limit
+STANDING_SPEED_M_S = 0.3  # m/s; a slower pedestrian turns on the spot
+TURN_DELAYS_S = (0.0, 1.0, 2.0, 3.0, 4.0)  # s until the turn
+MIN_STRAIGHT_M = 1.0  # m before a turn; paths are smoothed over this length, and would begin turned otherwise
+WAY_ACROSS_M = 30.0  # m; the length of a way after its turn
+TURN_ACCELERATION_M_S2 = 2.5  # m/s2 of lateral acceleration in a turn; more than is usual and less than the limit
 MIN_TURN_RADIUS_M = {RoadUser.PEDESTRIAN: 0.6, RoadUser.CYCLIST: 2.0}  # m
 ARC_STEP_RAD = 0.1  # rad
-MAX_PATH_DISTANCE_M = 25.0  # m from the ego's path; a pedestrian needs 6 s for it
+MAX_PATH_DISTANCE_M = 25.0  # m to the conflict with the ego's path; a pedestrian needs 6 s for it
 EGO_TIMES_S = (1.5, 8.0)  # s until the ego is where the two meet
 START_DELAY_S = 0.5  # s that a pedestrian or cyclist needs to begin to move
 
 
 def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
-    """Whether this is a pedestrian or cyclist that may be the adversary.
+    """Return whether a vehicle or object is a pedestrian or cyclist that may be the adversary.
 
-    Those of SUMO's traffic and the boxes of the scenario may; objects of a log only where ``only`` names them. A person
-    may not where SUMO is shared: it would have to be taken out, and another client may know it.
+    Those of SUMO's traffic and the boxes of the scenario may attack. Objects of a log may attack only if ``only`` names
+    them. A person may not attack if SUMO is shared: the person would have to be taken out, and another client may know
+    the person.
+
+    Args:
+        drive: The simulation.
+        name: The id of the vehicle or object.
+        only: The ids of the vehicles that may attack.
     """
     is_object = name in drive.obstacles
     if drive.simulation.remote is not None and name in drive.simulation.fleet.persons:
@@ -48,8 +54,18 @@ def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
 
 
 def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[PathAhead] = ()) -> tuple[ReferencePath, ...]:
-    """The ways of a pedestrian or cyclist. All of them begin at its place. lanes: the ways on of a cyclist along its
-    lane; none for one beside the road."""
+    """Return the ways that a pedestrian or cyclist can take.
+
+    All ways begin where it is now.
+
+    Args:
+        state: The state of the pedestrian or cyclist.
+        ego_path: The ego's path.
+        lanes: The paths ahead along the lane of a cyclist; empty for one beside the road.
+
+    Returns:
+        The ways, ``along`` before ``across``. A pedestrian that stands has only ``across`` ways.
+    """
     user, speed = road_user(state), state.speed
     stands = speed < STANDING_SPEED_M_S and user is RoadUser.PEDESTRIAN
     straight = (
@@ -66,18 +82,19 @@ def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[PathAh
 
 
 def _at(state: VehicleState, path: Path) -> Path:
-    """The path at the height of a pedestrian or cyclist: it leads no further than over the road."""
+    """Put a path at the height of a pedestrian or cyclist, because it leads no further than over the road."""
     return replace(path, z=state.z)
 
 
 def _beside(lane: Path, state: VehicleState) -> Path:
-    """The path of a lane, moved sideways to where a cyclist rides in it."""
+    """Move the path of a lane sideways to where a cyclist rides in it."""
     station, offset = lane.project(state.x, state.y, near=0.0)
     x, y, _ = lane.at(np.arange(station, lane.length, PATH_STEP_M), offset)
     return _at(state, make_path(np.column_stack([x, y])))
 
 
 def _straight_on(state: VehicleState) -> Path:
+    """Return the path straight on."""
     reach = np.array([0.0, WAY_ACROSS_M + max(TURN_DELAYS_S) * state.speed])
     return make_path(
         np.column_stack([state.x + reach * math.cos(state.heading), state.y + reach * math.sin(state.heading)])
@@ -85,7 +102,7 @@ def _straight_on(state: VehicleState) -> Path:
 
 
 def _across(state: VehicleState, user: RoadUser, ego_path: Path, after: float, *, turns: bool) -> Path:
-    """Straight on for ``after`` metres, a turn, and straight over the ego's path."""
+    """Return a path that goes straight on for ``after`` metres, turns, and goes straight over the ego's path."""
     c, s = math.cos(state.heading), math.sin(state.heading)
     x, y = state.x + after * c, state.y + after * s
     station, left = ego_path.project(x, y)
@@ -107,7 +124,16 @@ def _across(state: VehicleState, user: RoadUser, ego_path: Path, after: float, *
 
 
 def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: VehicleState) -> float:
-    """How dangerous a pedestrian or cyclist can be, in [0, 1]; 0 if it cannot be in the ego's way in time."""
+    """Rate how dangerous a pedestrian or cyclist can be.
+
+    Args:
+        ways: The ways that the pedestrian or cyclist can take.
+        state: The state of the pedestrian or cyclist.
+        ego: The state of the ego.
+
+    Returns:
+        The risk in [0, 1]; 0 if it cannot be in the ego's way in time.
+    """
     user = road_user(state)
     best = 0.0
     for way in ways:

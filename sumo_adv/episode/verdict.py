@@ -1,4 +1,4 @@
-"""The verdict on an attempt as soon as it was driven: gates, contact, and the kinematic check of reference drivers."""
+"""Judge an attempt as soon as it was driven: gates, contact, and the kinematic check of reference drivers."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ def verdict_on(
 ) -> Verdict | None:  # fmt: skip
     """Return the verdict on the attempt that was just driven.
 
-    All reference drivers are asked if a model reads what they did. Otherwise they are asked as far as the level depends
-    on them.
+    All reference drivers are checked if a model plays the modifier, because it reads their answers, or if a reference
+    driver drives the ego. Otherwise they are checked as far as the level depends on them.
 
     Args:
         drive: The simulation, with its recording.
         found: The encounter.
-        settings: Those of the run.
+        settings: The settings of the run.
         trigger_step: How many snapshots the recording had at the trigger.
         bvs: The adversaries, the collider first.
         start: When the attack began [s].
-        driven: What the attempt came to.
+        driven: How the attempt went.
 
     Returns:
         The verdict; None if the ego or the collider left before it moved.
@@ -57,10 +57,10 @@ def recorded_case(
     Args:
         tracks: The recorded motions from :func:`first_judged` on.
         found: The encounter.
-        settings: Those of the run.
+        settings: The settings of the run.
         bvs: The adversaries, the collider first.
         start: When the attack began [s].
-        beyond: What the adversaries had planned after the last recorded step, by id.
+        beyond: The adversaries' planned motions after the last recorded step, by id.
         follows_log: Whether a log moved the vehicles up to ``start``.
 
     Returns:
@@ -73,16 +73,42 @@ def recorded_case(
 
 
 def own_reference(drive: Drive) -> str | None:
-    """The reference driver that drives the ego itself: in a collision of the ego it has not avoided it."""
+    """Return the reference driver that drives the ego itself.
+
+    If the ego collides, this driver has not avoided the collision.
+
+    Args:
+        drive: The simulation.
+
+    Returns:
+        The name of the driver; None if the ego's driver is not a reference driver.
+    """
     return getattr(drive.controller, "reference", None)
 
 
 def first_judged(found: FoundEncounter, settings: Settings, trigger_step: int, start: float) -> int:
-    """The recorded step from which an attempt that began at ``start`` [s] is judged: the history before it counts."""
+    """Return the recorded step from which an attempt is judged.
+
+    The history before the attack counts.
+
+    Args:
+        found: The encounter.
+        settings: The settings of the run.
+        trigger_step: How many snapshots the recording had at the trigger.
+        start: When the attack began [s].
+    """
     return max(0, trigger_step + settings.steps(start - found.time) - settings.steps(settings.history))
 
 
 def unattacked(found: FoundEncounter, settings: Settings) -> Track | None:
-    """The ego's motion without the attack, from the trigger on; None if it was only foreseen."""
+    """Return the ego's motion without the attack.
+
+    Args:
+        found: The encounter.
+        settings: The settings of the run.
+
+    Returns:
+        The motion from the trigger on; None if it was only predicted.
+    """
     tracks = tracks_of(found.baseline, found.sizes, {}, settings.step_length, (found.ego,))
     return tracks[0] if tracks and len(tracks[0].time) > 1 else None

@@ -1,4 +1,7 @@
-"""The engine process for many episodes: each runs in a fork of it; ``warm.py`` says why."""
+"""Serve many episodes from one engine process, each in a fork of it.
+
+``warm.py`` gives the reasons.
+"""
 
 from __future__ import annotations
 
@@ -21,23 +24,33 @@ from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES
 from sumo_adv.simulation.programs import load_libsumo
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
-OWN_VARIABLES = {*SINGLE_THREAD_VARIABLES, "TMPDIR"}  # of the engine process, whatever its front has
+OWN_VARIABLES = {*SINGLE_THREAD_VARIABLES, "TMPDIR"}  # kept by the engine process, whatever its front has
 
 
 class WarmWorker(EpisodeWorker, WarmCalls):
-    """The worker of one episode after the other, each in a fork of its own."""
+    """Serves one episode after the other, each in a fork of its own."""
 
     def __init__(self, slots: Sequence[Connection]) -> None:
+        """Load libsumo before the first fork.
+
+        Args:
+            slots: The connections of forks to the front.
+        """
         load_libsumo()
         faulthandler.enable()
         super().__init__(slots)
         self._in_fork = False
 
     def begin(self, environment: Mapping[str, str], folder: str, path: Sequence[str]) -> None:
-        """Begin an episode with its front's environment, working folder and ``sys.path``.
+        """Begin an episode with the front's environment, working folder and ``sys.path``.
 
-        Returns in the fork that serves it. In the parent it returns when the fork has ended, and that answers the
-        fork's last call. A fork that does not end by itself takes its parent along.
+        In the fork that serves the episode, this method returns at once. In the parent it returns when the fork has
+        ended, and so answers the fork's last call. If the fork fails, the parent ends in the same way.
+
+        Args:
+            environment: The front's environment variables.
+            folder: The front's working folder.
+            path: The front's ``sys.path``.
         """
         if can_fork():
             own = tempfile.mkdtemp()
@@ -58,14 +71,14 @@ class WarmWorker(EpisodeWorker, WarmCalls):
         sys.path[:] = path
 
     def end(self) -> None:
-        """End the fork. Its parent answers."""
+        """End the fork. Its parent answers the call."""
         if self._in_fork:
             sys.stdout.flush()
             os._exit(0)
 
 
 def _end_as(exitcode: int) -> None:
-    """End this process as another one ended: by that signal if negative."""
+    """End this process as another one ended: with its exit code, or by its signal if the code is negative."""
     if exitcode < 0:
         faulthandler.disable()
         signal.signal(-exitcode, signal.SIG_DFL)
@@ -74,6 +87,6 @@ def _end_as(exitcode: int) -> None:
 
 
 def die_with_parent() -> None:
-    """On Linux: have this process killed when its parent ends."""
+    """Have this process killed when its parent ends (Linux only)."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
