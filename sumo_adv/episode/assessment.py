@@ -1,8 +1,8 @@
-"""Attempts on the front's side: they are run, and their results become attempts with a diagnosis.
+"""Run attempts for the front, and turn their results into attempts with a diagnosis.
 
-Planners run in the sandbox and answer the engine's forks. Where an attack was asked for, attempts are compared with the
-request: by rules, and where a model plays along, by its reading. An attempt that does not fit has ``Verdict.misfits``,
-and meets no goal (``Goal.reached``), so that the search goes on.
+Planners run in the sandbox and answer the questions of the engine's forks. If an attack was requested in words, each
+attempt is compared with the request: by rules and, if a model plays the analyzer, by the model's reading of the motion.
+An attempt that does not fit has ``Verdict.misfits``. It meets no goal (``Goal.reached``), so the search continues.
 """
 
 from __future__ import annotations
@@ -54,36 +54,62 @@ from sumo_adv.words.request import Reading, read_motion
 
 
 class Attempts(Protocol):
-    """Runs attempts; a result is taken only if the ones before it did not succeed.
+    """Runs attempts. A caller uses a result only if the attempts before it did not succeed.
 
-    displaces: whether the ego can be put where it would be if it arrived otherwise (``Proposal.arrival``). repeats:
-    whether attempts can be made of the same encounter at will, so that neighbours of a success can be tried.
+    Attributes:
+        displaces: Whether the ego can be placed where it would be if it arrived differently (``Proposal.arrival``).
+        repeats: Whether the encounter can be attempted as often as needed, so that neighbours of a success can be
+            tried.
     """
 
     displaces: bool
     repeats: bool
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterable[AttemptResult]:
-        """The results of the proposals, in order."""
+        """Return the results of attempts.
+
+        Args:
+            proposals: The candidates to attempt.
+
+        Returns:
+            The results, in the order of the proposals.
+        """
 
     def references(
         self, proposal: Proposal, result: AttemptResult, known: Mapping[str, str], all_drivers: bool
     ) -> Preventability | None:
-        """Which reference drivers avoid an attempt's collision, also in the loop (``Worker.references``); None where
-        that cannot be asked."""
+        """Return which reference drivers avoid the collision of an attempt, kinematically and in the loop.
+
+        Args:
+            proposal: The candidate that was attempted.
+            result: The result of the attempt.
+            known: Answers of reference drivers that have already driven in the loop. They do not drive again.
+            all_drivers: Whether all reference drivers drive in the loop (``EpisodeCalls.references``).
+
+        Returns:
+            The answers; None if there are none.
+        """
 
 
 class AttemptRunner:
-    """Runs attempts on the engine. A planner that is not ours gets a fresh sandbox session for each attempt.
+    """Runs attempts on the engine. Each attempt gets a fresh sandbox session for each planner that is not trusted.
 
-    Attempts run when their results are requested, as many at a time as the engine can. So those behind a success are
-    not made.
+    Attempts run when their results are requested, as many at a time as the engine can run. Thus, if the caller stops
+    at a success, no further batch runs.
     """
 
     def __init__(
         self, engine: EpisodeEngine, sandbox: Sandbox, found: FoundEncounter, seed: int, *, displaces: bool = True
     ) -> None:  # fmt: skip
-        """``displaces``: False if a log moves the ego."""
+        """Use an open engine that has found the encounter.
+
+        Args:
+            engine: Simulates the attempts.
+            sandbox: Runs the planners.
+            found: The encounter.
+            seed: The seed of the planners' sessions.
+            displaces: Whether the ego can arrive differently; False if a log moves it.
+        """
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
         self.displaces, self.repeats = displaces, True
 
@@ -102,7 +128,7 @@ class AttemptRunner:
 
     @contextmanager
     def _answering(self, proposals: Sequence[Proposal]) -> Iterator[Callable[[PlannerQuestion], Answer | str]]:
-        """Answer the questions to planners of proposals; ``proposals``: by the index of the question."""
+        """Provide what answers questions to planners; ``proposals`` are indexed by ``PlannerQuestion.index``."""
         opened: dict[tuple[int, int], Sessions] = {}
         roads = Roads(self._found.situations)
 
@@ -121,14 +147,21 @@ class AttemptRunner:
 
 
 def runner_of(engine: EpisodeEngine, sandbox: Sandbox, found: FoundEncounter, settings: Settings) -> AttemptRunner:
-    """What runs the attempts of an encounter. An ego that a log moves cannot arrive otherwise."""
+    """Return the runner for the attempts of an encounter.
+
+    Args:
+        engine: Simulates the attempts.
+        sandbox: Runs the planners.
+        found: The encounter.
+        settings: The run's settings. An ego that a log moves cannot arrive differently.
+    """
     return AttemptRunner(engine, sandbox, found, settings.seed, displaces=settings.ego != "replay")
 
 
 # -- diagnosis ------------------------------------------------------------------------------------------------------
 
-SAME_PLACE_DISTANCE_M = 2.0  # m: centres of two tracks at a smaller distance are at the same place
-BRAKING_REACTION_M_S2 = 1.5  # m/s2: stronger braking is a reaction
+SAME_PLACE_DISTANCE_M = 2.0  # m; centres of two tracks that are nearer are at the same place
+BRAKING_REACTION_M_S2 = 1.5  # m/s2; harder braking of the ego counts as a reaction
 LIMIT_REACHED_SHARE = 0.97  # share of a limit that counts as reached
 NEXT_POSITION_SEARCH_M = 25.0  # m along the ego's path within which its next position is searched
 
@@ -136,7 +169,19 @@ NEXT_POSITION_SEARCH_M = 25.0  # m along the ego's path within which its next po
 def diagnose(
     result: AttemptResult, ego: str, bv: str, ego_path: Path, limits: Limits, step_length: float
 ) -> Diagnosis | None:
-    """The diagnosis of an attempt; None if one of the two left at once."""
+    """Diagnose an attempt at the moment when the centres of the ego and the BV are nearest to each other.
+
+    Args:
+        result: The result of the attempt.
+        ego: The ego's id.
+        bv: The adversary's id.
+        ego_path: The path of the unattacked ego.
+        limits: The limits of the adversary's motion.
+        step_length: The step of the simulation [s].
+
+    Returns:
+        The diagnosis; None if the ego or the BV has fewer than two states after the takeover.
+    """
     tracks = result.tracks(step_length, ego, bv)
     if ego not in tracks or bv not in tracks:
         return None
@@ -157,14 +202,17 @@ def diagnose(
 
 
 def _seen(one: Track, other: Track, i: int) -> tuple[float, float]:
+    """Return the place of another track's centre in the frame of a track at step ``i`` [m]."""
     frame = Frame(float(one.x[i]), float(one.y[i]), float(one.heading[i]))
     x, y, _ = frame.to_local(float(other.x[i]), float(other.y[i]), 0.0)
     return round(x, 2), round(y, 2)
 
 
 def _early(ego: Track, bv: Track) -> float | None:
-    """Seconds by which the BV was before the ego at a place where both have been; None without such a place. With
-    several such pairs of states, the pair with the smallest difference in time counts."""
+    """Return the time by which the BV preceded the ego at a place that both visited [s]; None without such a place.
+
+    Of several such pairs of states, the pair with the smallest difference in time counts.
+    """
     apart = np.hypot(ego.x[:, None] - bv.x[None, :], ego.y[:, None] - bv.y[None, :])
     i, j = np.nonzero(apart < SAME_PLACE_DISTANCE_M)
     if not len(i):
@@ -174,14 +222,24 @@ def _early(ego: Track, bv: Track) -> float | None:
 
 
 def _shift(ego: Track, path: Path) -> float:
-    """The largest change of the ego's offset from its path [m]."""
+    """Return the largest change of the ego's offset from its path [m]."""
     offsets = np.array([offset for _, offset in followed(path, ego.x, ego.y)])
     return round(float(np.max(np.abs(offsets - offsets[0]))), 2)
 
 
 def followed(path: Path, x: Floats, y: Floats, reach: float = NEXT_POSITION_SEARCH_M) -> list[tuple[float, float]]:
-    """Stations and offsets [m] of places (x, y) on the way along a path, each within ``reach`` [m] of the one
-    before."""
+    """Project successive places onto a path.
+
+    Args:
+        path: The path.
+        x: The x of the places [m], in the order in which they were visited.
+        y: Their y [m].
+        reach: The maximum distance along the path between successive places [m]. The search for the first place begins
+            at the beginning of the path.
+
+    Returns:
+        The station and the offset of each place [m].
+    """
     places, station = list[tuple[float, float]](), 0.0
     for at in zip(x.tolist(), y.tolist(), strict=True):
         station, offset = path.project(*at, near=station, reach=reach)
@@ -190,7 +248,7 @@ def followed(path: Path, x: Floats, y: Floats, reach: float = NEXT_POSITION_SEAR
 
 
 def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
-    """Limits that the BV's motion reached. The first step is left out, because SUMO drove it."""
+    """Name the limits that the BV's motion reached. The first step is left out, because SUMO drove it."""
     if len(bv.time) < 4:
         return ()
     a = bv.acceleration[1:]
@@ -205,15 +263,22 @@ def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
 
 # -- what was asked for ---------------------------------------------------------------------------------------------
 
-MAX_READINGS = 2  # attempts of an encounter that a model is asked about
+MAX_READINGS = 2  # maximum number of attempts of an encounter that a model reads
 Reader = Callable[[DescribedMotion], Reading]
-"""Reads a motion and says whether it fits the request. Raises ModelError."""
+"""A reader reads a motion and returns whether it fits the request. It raises ModelError if it fails."""
 
 
 @dataclass
 class Fitting:
-    """Compares the attempts of one encounter with the request. ``reader`` is asked where the rules find nothing;
-    ``readings`` has its answers by the index of the attempt."""
+    """Compares the attempts of one encounter with the request.
+
+    Attributes:
+        asked: The request, as rules compare it.
+        found: The encounter.
+        settings: The run's settings.
+        reader: Reads the motion if the rules find no misfit; None if no model does.
+        readings: The reader's answers, by the index of the attempt.
+    """
 
     asked: Asked
     found: FoundEncounter
@@ -222,8 +287,20 @@ class Fitting:
     readings: dict[int, Reading] = field(default_factory=dict, init=False)
 
     def judged(self, attempt: Attempt, result: AttemptResult, goal: Goal, *, read: bool = True) -> Attempt:
-        """The attempt with what it lacks of the request, if it would be a success or comes near one; ``read``: the
-        reader may be asked."""
+        """Return an attempt with its differences from the request as misfits.
+
+        An attempt below the level ``critical`` that does not meet the goal is returned unchanged. The reader reads only
+        motions that meet the goal and in which the rules find no misfit, at most ``MAX_READINGS`` in an encounter.
+
+        Args:
+            attempt: The attempt.
+            result: Its result.
+            goal: What an attempt must reach.
+            read: Whether the reader may be used.
+
+        Raises:
+            ModelError: The reader gave no usable answer.
+        """
         if attempt.verdict.level < Level.CRITICAL and not goal.met(attempt.verdict):
             return attempt
         motion = motion_of(attempt, result, self.found, self.settings)
@@ -237,7 +314,15 @@ class Fitting:
 
 
 def reader_of(agents: Agents, words: str) -> Reader | None:
-    """The model that plays the analyzer as a reader; None if none does, or without words."""
+    """Return the model that plays the analyzer, as a reader of motions.
+
+    Args:
+        agents: The models of the run.
+        words: The request in words.
+
+    Returns:
+        The reader; None if no model plays the analyzer, or if the request is empty.
+    """
     if not agents.by_model("analyzer") or not words:
         return None
     metered = MeteredModel(agents.models["analyzer"], agents.ledger)
@@ -253,7 +338,18 @@ def reader_of(agents: Agents, words: str) -> Reader | None:
 def motion_of(
     attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings
 ) -> DescribedMotion | None:
-    """What happened in an attempt; None if the ego or the adversary was gone at once."""
+    """Describe what happened in an attempt, from the takeover of the adversary to the contact.
+
+    Args:
+        attempt: The attempt.
+        result: Its result.
+        found: The encounter.
+        settings: The run's settings.
+
+    Returns:
+        The motion; None if the ego or the adversary was gone at once, or if the adversary is no target of its
+        situation.
+    """
     p, start, end = attempt.proposal, result.start, attempt.verdict.contact_time
     situation = found.situations.get(p.delay)
     target = None if situation is None else situation.targets.get(p.bv)
@@ -275,7 +371,7 @@ def motion_of(
 
 
 def _runs_light(bv: str, situation: Situation, result: AttemptResult, begun: float) -> tuple[float, Event] | None:
-    """When the adversary passes its stop line on yellow or red [s], and which of the two."""
+    """Return when the adversary passes its stop line on yellow or red [s], and the event; None if it does not."""
     passed = light_at_line(bv, situation.traffic.signals.get(bv, ()), [s for s in result.snapshots if s.time >= begun])
     if passed is None or passed.letter not in RED + YELLOW:
         return None
@@ -290,7 +386,16 @@ NO_MOTION_VERDICT = Verdict(float("inf"), float("inf"), False, False, False, Fal
 def attempt_of(
     index: int, phase: str, proposal: Proposal, result: AttemptResult, found: FoundEncounter, settings: Settings
 ) -> Attempt:
-    """An attempt from its result; if the planner failed it is not feasible."""
+    """Make an attempt from its result. An attempt whose planner failed is not feasible.
+
+    Args:
+        index: The index of the attempt in its encounter.
+        phase: The phase of the run that made the attempt.
+        proposal: The candidate that was attempted.
+        result: The result.
+        found: The encounter.
+        settings: The run's settings.
+    """
     verdict = result.verdict or NO_MOTION_VERDICT
     if result.driven.ending == "planner_failed":
         failed = (*verdict.failed_gates, "planner_failed")
@@ -317,13 +422,24 @@ def attempt_of(
 def observed_motion(
     result: AttemptResult, found: FoundEncounter, delay: float, settings: Settings
 ) -> ObservedMotion | None:
-    """The ego's motion from the takeover on, at constant speed after the attempt; None if the ego was gone at once."""
+    """Return the ego's motion from the takeover on.
+
+    Args:
+        result: The result of the attempt.
+        found: The encounter.
+        delay: The start of the attempt, as time after the trigger [s].
+        settings: The run's settings.
+
+    Returns:
+        The motion over ``settings.duration``. After the end of the attempt, the speed is constant. None if the ego was
+        gone at once.
+    """
     situation, dt = found.situations[delay], settings.step_length
     whole = result.tracks(dt, found.ego).get(found.ego)
     track = None if whole is None else whole.between(result.start, math.inf)
     if track is None or len(track.time) < 2:
         return None
-    missing = range(round((float(track.time[0]) - result.start) / dt))  # at the trigger itself nothing is recorded
+    missing = range(round((float(track.time[0]) - result.start) / dt))  # nothing is recorded at the trigger itself
     places = [(float(situation.baseline.s[k]), 0.0) for k in missing]
     speeds = np.concatenate([situation.baseline.v[: len(missing)], track.speed])
     places += followed(situation.baseline.path, track.x, track.y)
@@ -335,14 +451,36 @@ def observed_motion(
 
 
 def checked(attempt: Attempt, result: AttemptResult, runner: Attempts, goal: Goal, best: Level) -> Attempt:
-    """The attempt, confirmed in the loop if it claims a level: the goal's, or a higher one than ``best`` so far."""
+    """Confirm an attempt in the loop if it claims a level.
+
+    An attempt claims a level if its verdict is at least ``valid`` and meets the goal or exceeds the best level so far.
+
+    Args:
+        attempt: The attempt.
+        result: Its result.
+        runner: Runs the reference drivers.
+        goal: What an attempt must reach.
+        best: The highest level of the attempts so far.
+
+    Returns:
+        The attempt, with the answers of the reference drivers if it claims a level.
+    """
     claims = attempt.verdict.level >= Level.VALID and (goal.met(attempt.verdict) or attempt.verdict.level > best)
     return confirmed(attempt, result, runner) if claims else attempt
 
 
 def confirmed(attempt: Attempt, result: AttemptResult, runner: Attempts, *, all_drivers: bool = False) -> Attempt:
-    """The attempt with the answers of reference drivers in the loop, if its collision counts; ``all_drivers``: also of
-    those on which the level does not depend."""
+    """Add the answers of reference drivers in the loop to the verdict on an attempt.
+
+    The attempt is returned unchanged if it is below the level ``collision``, if reference drivers were never asked, or
+    if they were asked in the loop before and not all drivers are wanted now.
+
+    Args:
+        attempt: The attempt.
+        result: Its result.
+        runner: Runs the reference drivers.
+        all_drivers: Whether drivers also answer on which the level does not depend.
+    """
     verdict, prevention = attempt.verdict, attempt.verdict.preventability
     if verdict.level < Level.COLLISION or prevention is None or (prevention.in_loop and not all_drivers):
         return attempt

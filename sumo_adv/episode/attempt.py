@@ -1,10 +1,10 @@
 """One attempt: from the trigger on, adversaries are driven against the real ego, step by step.
 
-In each step an adversary goes where its controller leads it, or where the caller puts it; all poses are injected at
-once. A controller follows a motion given in advance, or a planner: every ``replan`` steps the planner gets the ego's
-real state and returns an endpoint, and in between f_traj leads the adversary towards it. The attempt ends at the first
-contact of the ego with an adversary, when they have all parted, or at the time limit. ``attack`` runs a whole attempt;
-an environment makes its steps one by one.
+In each step, an adversary goes where its controller leads it, or where the caller places it. All poses are injected at
+once. A controller follows a motion given in advance, or a planner. Every ``replan`` steps, the planner gets the ego's
+real state and returns an endpoint. In between, f_traj leads the adversary towards it. The attempt ends at the first
+contact of the ego with an adversary, when all adversaries have parted from the ego or left, when the ego has left, at
+the time limit, or if a planner fails. ``attack`` runs a whole attempt; an environment makes its steps one by one.
 """
 
 from __future__ import annotations
@@ -30,22 +30,31 @@ from sumo_adv.situation import Situation
 
 # -- controllers ----------------------------------------------------------------------------------------------------
 
-TRAJECTORY_DEVIATION_M = 1.0  # m: a larger distance from a planner's own trajectory is reported to the modifier
+TRAJECTORY_DEVIATION_M = 1.0  # m; a larger distance from a planner's own trajectory is reported to the modifier
 
 
 class PrescribedAdversary:
-    """An adversary on a motion given in advance. After its end it goes straight on at its last speed."""
+    """An adversary on a motion given in advance. After the end of the motion, it goes straight on at its last speed."""
 
     message = ""
 
     def __init__(self, situation: Situation, name: str, course: PrescribedMotion) -> None:
+        """Start at the beginning of the motion.
+
+        Args:
+            situation: The situation at the takeover.
+            name: The adversary's id.
+            course: The motion.
+        """
         self._course, self._dt = course, situation.dt
         self._steps, self._speed, self.acceleration = 0, situation.targets[name].state.speed, 0.0
 
     def replan(self, now: float, ego: tuple[float, float, float, float]) -> str | None:
+        """Do nothing, and never fail."""
         return None
 
     def advance(self) -> Pose:
+        """Return the pose after one more step."""
         c, dt = self._course, self._dt
         k = min(self._steps, len(c.x) - 1)
         on = (self._steps - k) * dt * float(c.speed[k])
@@ -59,10 +68,26 @@ class PrescribedAdversary:
 
 
 class PlannedAdversary:
-    """An adversary that a planner leads along its ways, by endpoints or by its own trajectories. ``ask`` asks the
-    planner."""
+    """An adversary that a planner leads along its ways, by endpoints or by its own trajectories.
+
+    Attributes:
+        situation: The situation at the takeover.
+        limits: The limits of the adversary's motion.
+        ground: The adversary on its ways, as a batch of one.
+        motion: The present motion along the way.
+        goal: The endpoint that f_traj drives towards, on the way.
+        last: The planner's last endpoint in the local frame; None before the first.
+    """
 
     def __init__(self, situation: Situation, name: str, limits: Limits, ask: AskOne) -> None:
+        """Start from the motion at the takeover.
+
+        Args:
+            situation: The situation at the takeover.
+            name: The adversary's id.
+            limits: The limits of the adversary's motion.
+            ask: Asks the planner.
+        """
         self.situation, self.limits = situation, limits
         self._ask = ask
         self.ground = AdversaryBatch([situation], [name])
@@ -74,8 +99,8 @@ class PlannedAdversary:
         self._farthest = 0.0
         self._cap = situation.targets[name].fastest
         self._ego_station = 0.0
-        self._hard = True  # whether it may brake harder than people usually do
-        self._planned: tuple[float, float] | None = None  # the last time of planning [s], and the ego's speed then
+        self._hard = True  # whether the adversary may brake harder than people usually do
+        self._planned: tuple[float, float] | None = None  # last planning [s], and the ego's speed then [m/s]
 
     @property
     def road(self) -> PathRow:
@@ -84,16 +109,25 @@ class PlannedAdversary:
 
     @property
     def message(self) -> str:
-        """How the planner's own trajectories were changed, the first change of each kind; empty without a change."""
+        """How the planner's own trajectories were changed or refused, the first of each kind; empty if none was."""
         self._note_distance()
         return " ".join(self._remarks.values())
 
     @property
     def acceleration(self) -> float:
+        """The acceleration of the last step [m/s2]."""
         return self.motion.a
 
     def replan(self, now: float, ego: tuple[float, float, float, float]) -> str | None:
-        """Ask the planner. ``now``: s after the takeover; ``ego``: x, y, speed, acceleration. A sentence on failure."""
+        """Ask the planner for the next endpoint or trajectory.
+
+        Args:
+            now: The time since the takeover [s].
+            ego: The ego's x [m], y [m], speed [m/s] and acceleration [m/s2].
+
+        Returns:
+            None, or why the planner failed, as a sentence.
+        """
         s, d = self.situation.baseline.path.project(ego[0], ego[1], near=self._ego_station, reach=25.0)
         self._ego_station = s
         array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
@@ -111,12 +145,12 @@ class PlannedAdversary:
         return None
 
     def _mean_acceleration(self, now: float, speed: float, acceleration: float) -> float:
-        """The ego's mean since the last planning [m/s2]: some drivers brake and accelerate in turns."""
+        """Return the ego's mean acceleration since the last planning [m/s2]; some drivers alternate between pedals."""
         before, self._planned = self._planned, (now, speed)
         return acceleration if before is None or now <= before[0] else (speed - before[1]) / (now - before[0])
 
     def _built_in(self) -> None:
-        """Go towards the goal by the built-in f_traj."""
+        """Steer towards the goal with the built-in f_traj."""
         self._note_distance()
         motion = release(self.motion) if self._follower is not None else self.motion
         self._follower = None
@@ -137,12 +171,14 @@ class PlannedAdversary:
             self._remarks.setdefault(kind, f"{now:.1f} s after the takeover: {remark}.")
 
     def _note_distance(self) -> None:
+        """Note how far the adversary was from the planner's own trajectory."""
         if self._follower is not None:
             self._farthest = max(self._farthest, self._follower.farthest)
         if self._farthest > TRAJECTORY_DEVIATION_M:
             self._remarks["left"] = f"It was up to {self._farthest:.1f} m from where trajectory() had it."
 
     def advance(self) -> Pose:
+        """Return the pose after one more step."""
         dt = self.situation.dt
         if self._follower is not None and self._follower.over:
             self._built_in()
@@ -157,18 +193,26 @@ class PlannedAdversary:
 
 
 def _many(motion: Motion) -> Motion:
+    """Turn the motion of one vehicle into a batch of one."""
     fields: list[Any] = [tuple(np.array([q]) for q in f) if isinstance(f, tuple) else np.array([f]) for f in motion]
     return Motion(*fields)
 
 
 AdversaryController = PlannedAdversary | PrescribedAdversary
-"""Drives one adversary. ``message``: why the planner failed, or how its trajectories were changed. ``acceleration``:
-that of the last step [m/s2]. ``replan`` plans anew for the ego's x, y, speed, acceleration, ``now`` s after the
-takeover, and returns a sentence if that failed. ``advance`` returns the pose after one more step."""
+"""A controller drives one adversary. ``message`` says how the planner's trajectories were changed. ``acceleration`` is
+that of the last step [m/s2]. ``replan`` plans again for the ego's x, y, speed and acceleration at ``now`` [s] after the
+takeover, and returns a sentence if the planner failed. ``advance`` returns the pose after one more step."""
 
 
 def controller_of(situation: Situation, proposal: Proposal, limits: Limits, ask: AskOne) -> AdversaryController:
-    """The controller of a proposal's adversary; ``ask`` asks the proposal's planner."""
+    """Return the controller of a proposal's adversary.
+
+    Args:
+        situation: The situation at the takeover.
+        proposal: The proposal of this adversary.
+        limits: The limits of its motion.
+        ask: Asks the proposal's planner.
+    """
     if proposal.course is not None:
         return PrescribedAdversary(situation, proposal.bv, proposal.course)
     return PlannedAdversary(situation, proposal.bv, limits, ask)
@@ -176,14 +220,19 @@ def controller_of(situation: Situation, proposal: Proposal, limits: Limits, ask:
 
 # -- the attempt ----------------------------------------------------------------------------------------------------
 
-PARTED_DISTANCE_M = 90.0  # m between centres: further apart, and still parting, the two will not meet any more
-PLAN_AFTER_CONTACT_S = 4.0  # s beyond a contact for which the adversary's plan is continued, for the judge
+PARTED_DISTANCE_M = 90.0  # m between centres; vehicles that are farther apart and still parting will not meet
+PLAN_AFTER_CONTACT_S = 4.0  # s after a contact over which the adversary's plan is continued for the verdict
 
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """How an attempt went. ``message``: why the planner or SUMO failed, or how its trajectories were changed;
-    ``beyond``: by adversary its planned motion after the contact, empty without a contact."""
+    """How an attempt went.
+
+    Attributes:
+        ending: How it ended.
+        message: Why the planner or SUMO failed, or how the planner's trajectories were changed.
+        beyond: By adversary, its planned motion after the contact; empty without a contact.
+    """
 
     ending: str  # contact | passed | time_limit | ego_left | planner_failed | crashed
     message: str = ""
@@ -192,8 +241,12 @@ class Driven:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What is to happen in one step. poses: by adversary, where it is after the step; the controllers of the others
-    decide. ego: what the ego does; None: its driver decides."""
+    """What happens in one step of an attempt.
+
+    Attributes:
+        poses: The pose after the step, by adversary. The controllers of the other adversaries decide.
+        ego: What the ego does; None lets its driver decide.
+    """
 
     poses: Mapping[str, Pose] = field(default_factory=dict)
     ego: Action = None
@@ -201,10 +254,13 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class AttemptState:
-    """Where an attempt stands after a step.
+    """The state of an attempt after a step.
 
-    steps: made so far. apart: by adversary the distance [m] of its centre from the ego's; 0 only if their boxes
-    overlap, inf where one of the two is gone. driven: how the attempt went; None while it goes on.
+    Attributes:
+        steps: The number of steps so far.
+        apart: By adversary, the distance of its centre from the ego's [m]. It is 0 only if their boxes overlap, and inf
+            if one of the two is gone.
+        driven: How the attempt went; None before its end.
     """
 
     steps: int
@@ -213,15 +269,25 @@ class AttemptState:
 
 
 class OngoingAttempt:
-    """Drives ``adversaries`` against the ego for at most ``steps`` steps. The drive records the states.
+    """Drives adversaries against the ego. The drive records the states.
 
-    adversaries: by id what drives each; one with None goes straight on unless a command says otherwise. replan: steps
-    from one planning to the next.
+    Attributes:
+        state: The state after the last step.
     """
 
     def __init__(
         self, drive: Drive, adversaries: Mapping[str, AdversaryController | None], *, steps: int, replan: int
     ) -> None:
+        """Begin an attempt at the present state of the drive.
+
+        Args:
+            drive: The simulation with the ego.
+            adversaries: The controller of each adversary by id. An adversary with None goes straight on unless a
+                command
+                places it.
+            steps: The maximum number of steps.
+            replan: The number of steps from one planning to the next.
+        """
         assert drive.ego is not None
         self._drive, self._ego, self._adversaries = drive, drive.ego, dict(adversaries)
         self._steps, self._replan, self._dt = steps, replan, drive.recording.step_length
@@ -229,7 +295,14 @@ class OngoingAttempt:
         self.state = AttemptState(0, dict.fromkeys(self._adversaries, math.inf), ended)
 
     def step(self, command: Command | None = None) -> AttemptState:
-        """Make one step and return where the attempt stands. Without a command all controllers decide."""
+        """Make one step.
+
+        Args:
+            command: What happens in the step; None lets all controllers decide.
+
+        Returns:
+            The state after the step.
+        """
         assert self.state.driven is None, "the attempt has ended"
         self.state = self._stepped(command or Command())
         return self.state
@@ -252,7 +325,7 @@ class OngoingAttempt:
         return AttemptState(steps, apart, self._outcome(steps, before.apart, apart))
 
     def _plan(self, names: list[str], now: float) -> str | None:
-        """Have controllers plan anew, ``now`` s after the takeover. A sentence if one failed."""
+        """Have controllers plan again, ``now`` [s] after the takeover; return a sentence if one failed."""
         ego = self._drive.state(self._ego)
         for name in names:
             controller = self._adversaries[name]
@@ -264,11 +337,12 @@ class OngoingAttempt:
         return None
 
     def _led(self, name: str) -> Pose:
-        """Where an adversary's controller leads it; straight on without one."""
+        """Return the pose to which an adversary's controller leads it; without a controller, go straight on."""
         controller = self._adversaries[name]
         return _straight_on(self._drive.state(name), self._dt) if controller is None else controller.advance()
 
     def _outcome(self, steps: int, before: Mapping[str, float], apart: Mapping[str, float]) -> Driven | None:
+        """Return how the attempt went if it has ended: by contact, parting or the time limit."""
         if 0.0 in apart.values():
             return self._ended("contact")
         if all(far > PARTED_DISTANCE_M and far > before[name] for name, far in apart.items()):
@@ -282,7 +356,7 @@ class OngoingAttempt:
         return Driven(ending, message, {name: self._beyond(name) for name in there})
 
     def _beyond(self, name: str) -> Track:
-        """The adversary's plan for the next ``PLAN_AFTER_CONTACT_S`` seconds, outside the simulation."""
+        """Return the adversary's plan for the next ``PLAN_AFTER_CONTACT_S`` seconds, outside the simulation."""
         controller, dt, start = self._adversaries[name], self._dt, self._drive.now
         state = self._drive.state(name)
         rows: list[tuple[float, ...]] = []
@@ -298,8 +372,18 @@ class OngoingAttempt:
 def attack(
     drive: Drive, adversaries: Mapping[str, AdversaryController], *, steps: int, replan: int, ego: Pose | None = None
 ) -> Driven:  # fmt: skip
-    """A whole attempt in which controllers lead the adversaries and the ego's driver drives the ego; ``ego``: where the
-    ego is put in the first step, instead of its driver's action."""
+    """Run a whole attempt, in which controllers lead the adversaries and the ego's driver drives the ego.
+
+    Args:
+        drive: The simulation with the ego, at the start of the attack.
+        adversaries: The controller of each adversary by id.
+        steps: The maximum number of steps.
+        replan: The number of steps from one planning to the next.
+        ego: The pose at which the ego is placed in the first step; None lets its driver act.
+
+    Returns:
+        How the attempt went.
+    """
     attempt = OngoingAttempt(drive, adversaries, steps=steps, replan=replan)
     if ego is not None and attempt.state.driven is None:
         attempt.step(Command(ego=ego))
@@ -310,13 +394,21 @@ def attack(
 
 
 def _straight_on(v: VehicleState, seconds: float) -> Pose:
-    """Where a vehicle is that goes on as it goes."""
+    """Return the pose of a vehicle after some seconds at constant speed and heading."""
     far = v.speed * seconds
     return Pose(v.x + far * math.cos(v.heading), v.y + far * math.sin(v.heading), v.heading, v.speed)
 
 
 def apart_of(drive: Drive, one: str, other: str) -> float:
-    """Distance of the two centres [m]; exactly 0 only if the boxes overlap, inf where one of them is gone."""
+    """Return the distance of the centres of two vehicles [m].
+
+    It is exactly 0 only if the boxes overlap, and inf if one of the vehicles is gone.
+
+    Args:
+        drive: The simulation.
+        one: The id of one vehicle.
+        other: The id of the other vehicle.
+    """
     raw = drive.snapshot.raw
     if one not in raw or other not in raw:
         return math.inf
@@ -328,5 +420,5 @@ def apart_of(drive: Drive, one: str, other: str) -> float:
 
 
 def box_of(v: VehicleState) -> Boxes:
-    """A vehicle's box, 0-d arrays."""
+    """Return the box of a vehicle as 0-d arrays."""
     return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width, v.z)
