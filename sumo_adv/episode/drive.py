@@ -1,4 +1,4 @@
-"""One simulation with its ego's driver, stepped and recorded."""
+"""Step and record one simulation with its ego's driver."""
 
 from __future__ import annotations
 
@@ -41,48 +41,70 @@ from sumo_adv.simulation.sumo_states import Snapshot, pose_of
 from sumo_adv.simulation.tracks import Recording, tracks_of
 from sumo_adv.simulation.watch import Call, OutOfTimeError, watched
 
-LIMITED_BY_M_S = 0.05  # below the speed that was asked for: more than rounding, less than any braking
+LIMITED_BY_M_S = 0.05  # a speed lower than requested by this was limited: more than rounding, less than any braking
 
 
 @dataclass(frozen=True, slots=True)
 class EgoActions:
-    """counts: how often each kind of answer came, from the takeover of the ego on; ``None`` is counted as ``SUMO``.
-    limited: after how many ``LaneSpeed`` SUMO's safe speed was lower than the speed that was asked for."""
+    """What the ego's driver answered since it took over the ego.
+
+    Attributes:
+        counts: The number of answers of each kind; ``None`` counts as ``SUMO``.
+        limited: The number of ``LaneSpeed`` answers after which SUMO's safe speed was lower than the requested speed.
+    """
 
     counts: Mapping[str, int]
     limited: int
 
 
 class ActionCount:
+    """Counts the answers of an ego's driver."""
+
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
         self._limited = 0
         self._expected: float | None = None
 
     def answered(self, action: Action, reachable: float) -> None:
-        """``reachable``: the highest speed [m/s] that the ego can have after the step, without other vehicles."""
+        """Count an answer.
+
+        Args:
+            action: The answer.
+            reachable: The highest speed that the ego can have after the step without other vehicles [m/s].
+        """
         name = "Pose" if isinstance(action, Pose) else type(action).__name__
         self._counts["SUMO" if action is None else name] += 1
         self._expected = min(action.speed, reachable) if isinstance(action, LaneSpeed) else None
 
     def stepped(self, speed: float) -> None:
-        """``speed``: the ego's after the step [m/s]."""
+        """Note whether SUMO limited the last answer.
+
+        Args:
+            speed: The ego's speed after the step [m/s].
+        """
         if self._expected is not None and speed < self._expected - LIMITED_BY_M_S:
             self._limited += 1
         self._expected = None
 
     def total(self) -> EgoActions:
+        """Return the counts so far."""
         return EgoActions(dict(sorted(self._counts.items())), self._limited)
 
 
 Observe = Callable[[VehicleState, Sequence[str]], Observation]
-OBSERVED_RADIUS_M = 120.0  # how far the ego's driver sees
+OBSERVED_RADIUS_M = 120.0  # distance within which the ego's driver sees others
 
 
 def ego_type_file(controller: EgoController, folder: Path, demand: Sequence[Path] = ()) -> Path:
-    """An additional file with the vTypes of the ego's driver and of recorded vehicles.
+    """Write an additional file with the vTypes of the ego's driver and of recorded vehicles.
 
-    demand: the files with the vTypes of the vehicles that may become the ego.
+    Args:
+        controller: The ego's driver.
+        folder: The folder of the file.
+        demand: The files with the vTypes of the vehicles that may become the ego.
+
+    Returns:
+        The path of the file.
     """
     types = ego_types_xml(controller.sumo_type, defaults_of(controller.sumo_type), vehicle_types(demand))
     target = folder / "ego_type.add.xml"
@@ -91,7 +113,13 @@ def ego_type_file(controller: EgoController, folder: Path, demand: Sequence[Path
 
 
 class EarlierEgo(NamedTuple):
-    """A vehicle that the driver under test drove from one time [s] to another, before it took over the ego."""
+    """A vehicle that the driver under test drove before it took over the ego.
+
+    Attributes:
+        id: The id of the vehicle.
+        begin: The time of the takeover [s].
+        end: The time of the release [s].
+    """
 
     id: str
     begin: float
@@ -99,13 +127,41 @@ class EarlierEgo(NamedTuple):
 
 
 class Drive:
-    """Steps SUMO, lets the ego's driver act, moves the adversary, and records all states."""
+    """One simulation: steps SUMO, lets the ego's driver act, moves the adversary, and records all states.
+
+    Attributes:
+        simulation: SUMO.
+        controller: The ego's driver.
+        seed: The seed that the driver is reset with.
+        ego: The ego's id; None without an ego.
+        recording: The recorded states.
+        observe: Makes the driver's observation from the ego and the ids of the vehicles near it; None gives a plain
+            one.
+        steered: Whether the ego's driver, not SUMO, moved the ego in the last step.
+        heeding: Whether the driver also moved it with pedals and wheel, and wants SUMO's advice.
+        actions: Counts the driver's answers since it took over.
+        inside: The plans and notes that the driver has shown since it took over.
+        on_load: Called when the simulation was loaded again.
+        lights: Set if the states of traffic lights are recorded.
+        heights: Set if the network's roads have heights.
+        playback: The log that is played back; None without one.
+        until: The time at which attempts end because the log itself soon becomes dangerous [s]; otherwise inf.
+    """
 
     def __init__(
         self, spec: SimulationSpec, controller: EgoController, seed: int, remote: Remote | None = None,
         playback: Playback | None = None, deadline: float = 0.0,
     ) -> None:  # fmt: skip
-        """``deadline``: in which the ego's driver must return [s]; 0: it may take any time."""
+        """Start the simulation.
+
+        Args:
+            spec: What is simulated.
+            controller: The ego's driver.
+            seed: The seed that the driver is reset with.
+            remote: A SUMO that is shared with other programs; None starts one.
+            playback: The log to play back.
+            deadline: The time within which the ego's driver must return from a call [s]; 0 means no limit.
+        """
         self.simulation, self.controller, self.seed = Simulation(spec, remote), controller, seed
         self._deadline = deadline
         self.ego: str | None = None
@@ -113,33 +169,34 @@ class Drive:
         self.recording = Recording(spec.step_length)
         self._takeovers: list[tuple[int, str | None]] = []
         self._playing = False
-        self.observe: Observe | None = None  # what the driver sees, given the ego and the vehicles near it
-        self.steered = False  # the ego's driver, not SUMO, moved the ego in the last step
-        self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
-        self.actions = ActionCount()  # of the ego's driver since it took over
-        self.inside: list[DriverInside] = []  # what the driver showed of its inside, since it took over
+        self.observe: Observe | None = None
+        self.steered = False
+        self.heeding = False
+        self.actions = ActionCount()
+        self.inside: list[DriverInside] = []
         self._ego_place: EgoPlace | None = None
-        self._placed: tuple[float, LanePlace | None] = (-math.inf, None)  # when it was last worked out [s]
-        self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
-        self.lights: LightsNear | None = None  # set if the states of traffic lights are recorded
-        self.heights: Heights | None = None  # set if the network's roads have heights
+        self._placed: tuple[float, LanePlace | None] = (-math.inf, None)  # time [s] and result of the last ``place``
+        self.on_load: Callable[[], None] | None = None
+        self.lights: LightsNear | None = None
+        self.heights: Heights | None = None
         self.playback = playback
-        self.until = math.inf  # s, from which on a log is dangerous by itself: attempts end before
+        self.until = math.inf
         if playback is not None:
             playback.start(self.simulation)
 
     @property
     def now(self) -> float:
-        """Simulated time [s]."""
+        """The simulated time [s]."""
         return self.simulation.time
 
     @property
     def snapshot(self) -> Snapshot:
+        """The newest recorded states."""
         return self.recording.snapshots[-1]
 
     @property
     def driven_from(self) -> float | None:
-        """When the driver took over the ego [s]: the time of the newest state then. None without an ego."""
+        """The time of the newest state when the driver took over the ego [s]; None without an ego."""
         if self.ego is None or not self._takeovers:
             return None
         step = self._takeovers[-1][0]
@@ -152,31 +209,42 @@ class Drive:
         return tuple(EarlierEgo(n, self._when(a), self._when(b)) for (a, n), (b, _) in ends if n is not None)
 
     def _when(self, step: int) -> float:
-        """The time [s] of a takeover or release before a step."""
+        """Return the time of a takeover or release before a step [s]."""
         return self.recording.snapshots[step - 1].time if step else self.simulation.spec.recorded_from
 
     def left(self) -> int | None:
-        """Steps until the log that is played back ends, or ``until``; None without a log."""
+        """Return the number of steps until the log or ``until`` ends the simulation; None if neither does."""
         last = min(self.until, math.inf if self.playback is None else self.playback.last(self.ego))
         return None if math.isinf(last) else max(0, round((last - self.now) / self.recording.step_length))
 
     def within(self, steps: int) -> int:
-        """``steps``, or fewer if the log ends before."""
+        """Return ``steps``, or fewer if the log or ``until`` ends the simulation before."""
         left = self.left()
         return steps if left is None else min(steps, left)
 
     def to_come(self) -> bool:
-        """Whether a vehicle is on the road or still to be inserted."""
+        """Return whether a vehicle is on the road or still to come, from SUMO's demand or from the log."""
         more = self.playback is not None and self.recorded() and self.now < self.playback.spec.end
         return more or self.simulation.expected() > 0
 
     def may_take_over(self, vehicle: str) -> bool:
-        """Whether the driver under test can take over a vehicle that is on the road now."""
+        """Return whether the driver under test can take over a vehicle now.
+
+        Args:
+            vehicle: The id of a vehicle that is on the road.
+        """
         log, replayed = self.playback, isinstance(self.controller, ReplayEgo)
         return log is None or log.may_take(vehicle, self.snapshot.raw, self.now, replayed=replayed)
 
     def take_over(self, vehicle: str) -> None:
-        """Make a vehicle the ego: it gets the driver under test."""
+        """Make a vehicle the ego: it gets the driver under test.
+
+        Args:
+            vehicle: The id of a vehicle that is on the road.
+
+        Raises:
+            DriverError: The driver does not return from ``reset`` in time, or ends its process.
+        """
         if self.controller.sumo_type:
             given = self.controller.sumo_type.keys() - defaults_of(self.controller.sumo_type)
             self._own_type = own = self.simulation.own_type(vehicle)
@@ -202,8 +270,18 @@ class Drive:
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
-        """One step: the ego's driver acts, ``poses`` are injected, SUMO steps, the states are recorded. ego: what the
-        ego does in this step; None: its driver decides."""
+        """Make one step: the ego's driver acts, poses are injected, SUMO steps, and the states are recorded.
+
+        Args:
+            poses: The poses after the step of vehicles and persons that are moved from outside, by id.
+            ego: What the ego does in this step; None lets its driver decide.
+
+        Returns:
+            The states after the step.
+
+        Raises:
+            DriverError: The driver does not return in time, or ends its process.
+        """
         driven = dict(poses or {})
         if self.playback is not None:
             raw = self.snapshot.raw if self.recording.snapshots else {}
@@ -231,12 +309,12 @@ class Drive:
         return snapshot
 
     def give_back(self) -> None:
-        """Leave the ego to its driver again, after a step in which it was put somewhere."""
+        """Leave the ego to its driver again, after a step in which the ego was placed somewhere."""
         if self.ego is not None and self.ego in self.snapshot.raw and not self.replayed():
             self.simulation.set_speed(self.ego, None)
 
     def _heights_in(self, snapshot: Snapshot, heights: Heights) -> dict[str, float]:
-        """The heights of all vehicles and persons of a snapshot that was just read [m]."""
+        """Return the heights of all vehicles and persons of a snapshot that was just read [m]."""
         last = self.recording.snapshots[-1] if self.recording.snapshots else Snapshot(0.0, {})
         now = {}
         for name, (x, y, *_) in snapshot.raw.items():
@@ -246,7 +324,11 @@ class Drive:
         return now
 
     def rewind(self, steps: int) -> None:
-        """Load the simulation again and repeat the first ``steps`` steps with the same commands."""
+        """Load the simulation again and repeat its first steps, with the same takeovers and releases.
+
+        Args:
+            steps: The number of steps to repeat.
+        """
         takeovers = dict(self._takeovers)
         self.simulation.reload()
         if self.playback is not None:
@@ -262,31 +344,47 @@ class Drive:
         self._change_ego(takeovers, steps)
 
     def restart(self, seed: int) -> None:
-        """Load the simulation again with another seed, without an ego."""
+        """Load the simulation again with another seed, without an ego.
+
+        Args:
+            seed: The seed of SUMO and of the ego's driver.
+        """
         self.seed, self._takeovers = seed, []
         self.simulation.spec = replace(self.simulation.spec, seed=seed)
         self.rewind(0)
 
     def _change_ego(self, takeovers: Mapping[int, str | None], step: int) -> None:
+        """Repeat the takeover or release before a step, if there was one."""
         if step in takeovers:
             name = takeovers[step]
             self.release() if name is None else self.take_over(name)
 
     def state(self, vehicle: str) -> VehicleState:
+        """Return the present state of a vehicle or person."""
         return self.simulation.state(self.snapshot, vehicle, self.recording.acceleration(vehicle))
 
     def kind(self, vehicle: str) -> str:
-        """SUMO's vClass of a vehicle or person; what an object is that is none."""
+        """Return SUMO's vClass of a vehicle or person, or the kind of an object that is neither."""
         if self.playback is not None and vehicle in self.playback.obstacles:
             return self.playback.kind(vehicle)
         return self.simulation.vehicle_class(vehicle)
 
     def pose(self, vehicle: str) -> tuple[float, float, float]:
-        """x, y [m] of the centre of a vehicle's box and its heading [rad], now."""
+        """Return x and y of the centre of a vehicle's box [m] and its heading [rad], now."""
         return pose_of(self.snapshot.raw[vehicle], self.simulation.fleet.sizes[vehicle][0])
 
     def near(self, vehicle: VehicleState, radius: float) -> list[str]:
-        """The other vehicles with their centres within ``radius`` [m] of a vehicle's centre, not above or below it."""
+        """Return the other vehicles near a vehicle, by the distance of the centres of their boxes.
+
+        Vehicles above or below it are left out, unless their road leads to it within the radius.
+
+        Args:
+            vehicle: The vehicle.
+            radius: The maximum distance [m].
+
+        Returns:
+            Their ids.
+        """
         x, y, sizes, near = vehicle.x, vehicle.y, self.simulation.fleet.sizes, list[str]()
         for name, (front_x, front_y, *_) in self.snapshot.raw.items():
             room = radius - math.hypot(front_x - x, front_y - y)
@@ -296,23 +394,29 @@ class Drive:
         return near if self.heights is None else [n for n in near if self._level(vehicle, n, radius, self.heights)]
 
     def _away(self, vehicle: str, x: float, y: float) -> float:
-        """The distance [m] of the centre of a vehicle's box from a place."""
+        """Return the distance of the centre of a vehicle's box from a place [m]."""
         there_x, there_y, _ = self.pose(vehicle)
         return math.hypot(there_x - x, there_y - y)
 
     def _level(self, vehicle: VehicleState, other: str, radius: float, heights: Heights) -> bool:
-        """Whether another vehicle is on a vehicle's layer, or on a road that leads there within ``radius`` [m]."""
+        """Return whether another vehicle is on a vehicle's layer, or its road leads there within ``radius`` [m]."""
         if same_layer(vehicle.z, self.snapshot.heights.get(other, 0.0)):
             return True
         x, y, _, _, lane = self.snapshot.raw[other]
         return heights.way(vehicle.lane, vehicle.x, vehicle.y, lane, x, y, radius) <= radius
 
     def tracks(self, *adversaries: str, start: int = 0) -> list[Track]:
-        """All tracks from recorded step ``start`` on."""
+        """Return the tracks of all vehicles, persons and objects.
+
+        Args:
+            adversaries: The ids of the adversaries.
+            start: The index of the recorded step from which the tracks begin.
+        """
         sizes, recording = self.simulation.fleet.sizes, self.recording
         return tracks_of(recording.snapshots[start:], sizes, self.roles(*adversaries), recording.step_length)
 
     def roles(self, *adversaries: str) -> dict[str, Role]:
+        """Return the roles by id, except those of background vehicles."""
         roles = dict.fromkeys(() if self.playback is None else self.playback.obstacles, Role.OBSTACLE)
         roles |= dict.fromkeys(adversaries, Role.ADVERSARY)
         if self.ego is not None:
@@ -327,21 +431,33 @@ class Drive:
         return objects | persons if persons else objects
 
     def placed(self, obstacle: str) -> bool:
-        """Whether the scenario or its demand has put this pedestrian or cyclist there."""
+        """Return whether the scenario or its demand, rather than a log, places a pedestrian or cyclist.
+
+        Args:
+            obstacle: The id.
+        """
         if obstacle in self.simulation.fleet.persons:
             return True
         return self.playback is not None and self.playback.placed(obstacle)
 
     def route(self) -> tuple[str, ...]:
-        """The edges of the ego's whole route."""
+        """Return the edges of the ego's whole route."""
         assert self.ego is not None
         logged = self.playback.spec.routes.get(self.ego, ()) if self.playback is not None and self.replayed() else ()
         kept = self._ego_place.route if self._ego_place is not None and self._moved else ()
         return logged or kept or self.simulation.route(self.ego)[0]
 
     def place(self, road: RoadMap) -> LanePlace | None:
-        """Where the ego is on its route now; None while it is off all lanes. SUMO gets back a route that it has
-        replaced because the ego's driver left the lanes of it."""
+        """Return where the ego is on its route now.
+
+        SUMO gets the route back if it has replaced the route because the ego's driver left its lanes.
+
+        Args:
+            road: The map.
+
+        Returns:
+            The place; None while the ego is off all lanes.
+        """
         assert self.ego is not None
         if self._ego_place is None:
             self._ego_place = EgoPlace(road, self.simulation, self.kind(self.ego))
@@ -352,7 +468,7 @@ class Drive:
         return self._placed[1]
 
     def closed(self, lane: str) -> bool:
-        """Whether the ego may not use a lane now."""
+        """Return whether the ego may not use a lane now."""
         assert self.ego is not None
         return self.simulation.closed(lane, self.kind(self.ego))
 
@@ -362,17 +478,19 @@ class Drive:
         return self.steered or isinstance(self.controller, ExternalEgo)
 
     def recorded(self) -> bool:
+        """Return whether recorded vehicles are played back."""
         return self.playback is not None and self.playback.log is not None
 
     def follows_log(self) -> bool:
-        """Whether a log moves background vehicles, so that they do not react to the adversary."""
+        """Return whether a log moves background vehicles, so that they do not react to the adversary."""
         return self.playback is not None and self.playback.spec.follows_log
 
     def replayed(self) -> bool:
-        """Whether a log moves the ego."""
+        """Return whether a log moves the ego."""
         return self.playback is not None and self.ego is not None and self.playback.replays(self.ego)
 
     def _let_ego_act(self, driven: dict[str, Pose], action: Action) -> None:
+        """Apply an action of the ego or, if it is None, its driver's answer; add a pose that moves it to ``driven``."""
         assert self.ego is not None
         heeds = False
         wishes = wishes_of(self.controller)
@@ -409,8 +527,11 @@ class Drive:
             self.inside.append(DriverInside(self.now, action.plan or (), action.notes))
 
     def _led_back(self, action: Action) -> Action:
-        """The action, or a way back to the ego's own lane where its driver gives it to SUMO on a lane off its route:
-        SUMO would turn it round there."""
+        """Return the action, or the steering back to a lane of the ego's route.
+
+        It steers back if the driver leaves the ego to SUMO on a lane off its route: SUMO would turn the ego round
+        there.
+        """
         if self._ego_place is None or not self.steered or isinstance(action, Steer | Pose):
             return action
         assert self.ego is not None
@@ -421,19 +542,19 @@ class Drive:
         return back_to_lane(place, self.state(self.ego), speed, self.recording.step_length)
 
     def where(self) -> str:
-        """Where the ego's driver is: its step, counted from 1 where it took over, and the time."""
+        """Return where the ego's driver is in words: its step, counted from 1 at the takeover, and the time."""
         first = self._takeovers[-1][0] if self.ego is not None and self._takeovers else len(self.recording.snapshots)
         return f"its step {len(self.recording.snapshots) - first + 1}, at {self.now:.1f} s"
 
     @contextmanager
     def _driver(self, method: str) -> Iterator[None]:
-        """Code of the ego's driver. Raises DriverError if it does not return in time, or ends its process."""
+        """Guard a call of the ego's driver; raise DriverError if it does not return in time or ends its process."""
         call = Call(f"The ego's driver {self.controller.name!r}", f"in {method} ({self.where()})", self._deadline)
         process = os.getpid()
         try:
             with watched(call):
                 yield
-                if os.getpid() != process:  # it has forked: the copy must not go on as a second simulation
+                if os.getpid() != process:  # the driver has forked; the copy must not continue as a second simulation
                     os._exit(0)
         except OutOfTimeError:
             raise call.too_late() from None
@@ -441,6 +562,7 @@ class Drive:
             raise DriverError(call.ended(f"SystemExit: {error.code}")) from error
 
     def observation(self) -> Observation:
+        """Return what the ego's driver sees now."""
         assert self.ego is not None
         me = self.state(self.ego)
         near = self.near(me, OBSERVED_RADIUS_M)
@@ -449,7 +571,11 @@ class Drive:
         return Observation(self.now, self.recording.step_length, me, tuple(self.state(name) for name in near))
 
     def replay(self, track: Track) -> None:
-        """Have a ``ReplayEgo`` repeat a recorded motion from now on. Other drivers ignore this."""
+        """Have a ``ReplayEgo`` repeat a recorded motion from now on. Other drivers ignore this.
+
+        Args:
+            track: The motion.
+        """
         if isinstance(self.controller, ReplayEgo) and not self.replayed():
             self.controller.load(track)
             self._playing = True

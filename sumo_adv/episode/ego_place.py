@@ -1,8 +1,8 @@
 """Where the ego is on the lanes of its route.
 
-SUMO takes a moved vehicle to be on whichever lane fits its pose best: beyond the centre line on the oncoming one, on a
-junction on one of those that overlap. It then replaces the route by one over that lane. The ego keeps its own route,
-and its place is on the lane of that route which is nearest to it, until it is far from all of them.
+SUMO assigns a moved vehicle to whichever lane fits its pose best: beyond the centre line, to the oncoming lane; on a
+junction, to one of the lanes that overlap. SUMO then replaces the route by one over that lane. The ego keeps its own
+route. Its place is on the nearest lane of that route, until it is far from all of them.
 """
 
 from __future__ import annotations
@@ -18,17 +18,22 @@ from sumo_adv.geometry import wrap
 from sumo_adv.simulation.network import NetworkLane, RoadMap
 from sumo_adv.simulation.simulation import Simulation
 
-LEFT_ROUTE_M = 20.0  # from all lanes of the route: the ego has left it
-WINDOW_M = 100.0  # of the route beyond the present edge in which the ego is looked for
-LONGEST_STEP_M = 30.0  # along the route: no step is longer, but a route that comes back on the other side may be
-ACROSS_RAD = 0.5  # more than that from its lane's direction a vehicle stands across
-BESIDE_M = 8.0  # about two lanes: within which a lane of the ego's direction is looked for without a route
+LEFT_ROUTE_M = 20.0  # m; an ego that is farther from all lanes of its route has left it
+WINDOW_M = 100.0  # m of the route beyond the present edge within which the ego is searched
+LONGEST_STEP_M = 30.0  # m along the route; no step is longer, but the way to a later edge that runs beside may be
+ACROSS_RAD = 0.5  # rad; a vehicle that is turned farther from its lane's direction stands across
+BESIDE_M = 8.0  # m, about two lanes, within which a lane of the ego's direction is searched without a route
 
 
 @dataclass(frozen=True, slots=True)
 class LanePlace:
-    """lane: the ego's; front: metres along its centreline to the front bumper; route: the edges from the present one
-    on, which on a junction is the one before it."""
+    """A place on a lane.
+
+    Attributes:
+        lane: The ego's lane.
+        front: Distance along the centreline of the lane to the front bumper [m].
+        route: The edges from the present one on. On a junction, the present edge is the one before it.
+    """
 
     lane: NetworkLane
     front: float
@@ -36,22 +41,28 @@ class LanePlace:
 
 
 class EgoPlace:
-    """Finds the place of one ego. State: its route, and how far it has come.
+    """Finds the place of one ego. It keeps the ego's route, and how far the ego has come on it.
 
     Attributes:
-        road: the map that its lanes are of.
-        astray: whether SUMO has another route for the ego since it was on a lane beside its own.
+        road: The map of the ego's lanes.
+        astray: Whether SUMO has another route for the ego because the ego was on a lane beside its own route.
     """
 
     def __init__(self, road: RoadMap, simulation: Simulation, vclass: str) -> None:
-        """vclass: SUMO's class of the ego."""
+        """Start without a route.
+
+        Args:
+            road: The map.
+            simulation: The simulation.
+            vclass: SUMO's class of the ego.
+        """
         self.road, self._simulation, self._vclass = road, simulation, vclass
         self.astray = False
         self._route: tuple[str, ...] = ()
         self._at = 0  # index of the present edge
-        self._seen: tuple[str, ...] = ()  # SUMO's edges from the present one on, when they were last looked at
+        self._seen: tuple[str, ...] = ()  # SUMO's edges from the present one on, in the last call
         self._last: LanePlace | None = None
-        self._from = (0.0, 0.0)  # the ego's centre in the last look
+        self._from = (0.0, 0.0)  # the ego's centre in the last call [m]
 
     @property
     def route(self) -> tuple[str, ...]:
@@ -59,11 +70,15 @@ class EgoPlace:
         return self._route
 
     def __call__(self, ego: VehicleState, *, moved: bool, restores: bool) -> LanePlace | None:
-        """None while the ego is off all lanes.
+        """Find the ego's place.
 
         Args:
-            moved: whether the ego's driver, not SUMO, moves it.
-            restores: whether SUMO gets the ego's own route back once the ego is on it again.
+            ego: The ego's present state.
+            moved: Whether the ego's driver, not SUMO, moves the ego.
+            restores: Whether SUMO gets the ego's own route back once the ego is on it again.
+
+        Returns:
+            The place; None while the ego is off all lanes.
         """
         lane = self.road.lanes.get(ego.lane)
         near = math.dist(self._from, (ego.x, ego.y)) < LONGEST_STEP_M
@@ -71,32 +86,33 @@ class EgoPlace:
         if lane is None:
             return None
         present, index = self._simulation.route(ego.id)
-        at = max(index, 0)  # SUMO's is -1 for a vehicle that has not departed
+        at = max(index, 0)  # SUMO's index is -1 for a vehicle that has not departed
         if moved and near and self._route:
             self._follow(ego, lane, present, at, restores=restores)
         else:
             self._adopt(present, at)
         place = self._nearest(ego, lane)
-        if place is None:  # it has left its route for good
+        if place is None:  # the ego has left its route for good
             self._adopt(present, at)
             place = self._nearest(ego, lane) or LanePlace(lane, front_on(lane, ego, self._simulation), present[at:])
         self._last = place
         return place
 
     def _adopt(self, route: tuple[str, ...], at: int) -> None:
+        """Take SUMO's route as the ego's own."""
         self._route, self._at, self._seen, self.astray = route, at, route[at:], False
 
     def _follow(
         self, ego: VehicleState, lane: NetworkLane, present: tuple[str, ...], at: int, *, restores: bool
     ) -> None:
-        """Take over what SUMO says of the route, except what ``moveToXY`` has made of it."""
+        """Adopt SUMO's changes of the route, except those that ``moveToXY`` has made."""
         ahead, edge = present[at:], _edge_of(self.road, lane)
         here = self._advanced(ego, lane, present[at] if ahead else edge)
         if here is not None and self._route[here:] == ahead:
             self._at, self.astray = here, False
         elif not self.astray and edge in self._seen and here is None and ahead[:1] != self._seen[:1]:
             self.astray = True  # a later part of the route that lies beside the present one
-        elif not self.astray and edge in self._seen:  # ``moveToXY`` leaves such a route as it is: it was given another
+        elif not self.astray and edge in self._seen:  # ``moveToXY`` keeps the route there, so the ego was given another
             self._adopt(present, at)
         elif here is not None and not lane.internal and restores:
             self._at, self.astray = here, False
@@ -107,14 +123,14 @@ class EgoPlace:
         self._seen = ahead
 
     def _advanced(self, ego: VehicleState, lane: NetworkLane, edge: str) -> int | None:
-        """The index of an edge of the route that the ego can have reached since its last place."""
+        """Return the index of an edge if it is on the route and in reach of the ego's last place; otherwise None."""
         for index in range(self._at, len(self._route)):
             if self._route[index] == edge and self._gone(index, 0.0 if lane.internal else _front(lane, ego)):
                 return index
         return None
 
     def _gone(self, index: int, front: float) -> bool:
-        """Whether a place on an edge of the route is within one step's reach of the last place."""
+        """Return whether a place on an edge of the route is within one step's reach of the last place."""
         last = self._last
         if last is None or index == self._at:
             return True
@@ -123,12 +139,12 @@ class EgoPlace:
         return left + between + front < LONGEST_STEP_M
 
     def _nearest(self, ego: VehicleState, lane: NetworkLane) -> LanePlace | None:
-        """The place on the route; None if it is farther than ``LEFT_ROUTE_M``."""
+        """Find the nearest place on the route and advance to its edge; None if it is farther than ``LEFT_ROUTE_M``."""
         route = self._route[self._at :]
         if not route:
             lane = _beside(self.road, ego, lane, self._vclass)
             return LanePlace(lane, front_on(lane, ego, self._simulation), ())
-        if not self.astray and _edge_of(self.road, lane) in route[:2]:  # the second one from on the junction before it
+        if not self.astray and _edge_of(self.road, lane) in route[:2]:  # the second one on the junction before it
             return LanePlace(lane, front_on(lane, ego, self._simulation), route)
         reached = [
             (k, other) for k, other in self._candidates()
@@ -141,8 +157,10 @@ class EgoPlace:
         return LanePlace(nearest, front_on(nearest, ego, self._simulation), self._route[k:])
 
     def _candidates(self) -> Iterator[tuple[int, NetworkLane]]:
-        """The lanes of the route from the present edge on, also those over junctions, with the index of their edge;
-        those over a junction count with the edge before it."""
+        """Yield the lanes of the route from the present edge on, with the indices of their edges.
+
+        The lanes over junctions are included. They have the index of the edge before the junction.
+        """
         beyond, lanes = 0.0, self.road.lanes
         for index in range(self._at, len(self._route)):
             edge = self._route[index]
@@ -158,16 +176,21 @@ class EgoPlace:
                 return
 
 
-CREEP_M_S = 3.0  # a slower vehicle does not come back to its lane
-AIM_S, AIM_M = 0.6, 4.0  # s at its speed and least m ahead, at which a vehicle aims on its way back
+CREEP_M_S = 3.0  # m/s; minimum speed on the way back, because a slower vehicle does not return to its lane
+AIM_S, AIM_M = 0.6, 4.0  # a vehicle on its way back aims this far ahead: s at its speed, and minimum distance [m]
 
 
 def back_to_lane(place: LanePlace, ego: VehicleState, speed: float | None, dt: float) -> Steer:
-    """How an ego that SUMO has on a lane off its route comes back to its own: pure pursuit of its lane's centre.
+    """Steer an ego that SUMO has on a lane off its route back to its own lane, by pure pursuit of that lane's centre.
 
     Args:
-        speed: to drive at [m/s]; None: as now.
-        dt: of a step [s].
+        place: The ego's place on its route.
+        ego: The ego's present state.
+        speed: The speed to drive at [m/s]; None keeps the present speed.
+        dt: The step [s].
+
+    Returns:
+        The action for the next step.
     """
     x, y, _ = place.lane.point_at(place.front - ego.length / 2 + max(AIM_S * ego.speed, AIM_M))
     angle = wrap(math.atan2(y - ego.y, x - ego.x) - ego.heading)
@@ -177,25 +200,34 @@ def back_to_lane(place: LanePlace, ego: VehicleState, speed: float | None, dt: f
 
 
 def front_on(lane: NetworkLane, vehicle: VehicleState, simulation: Simulation) -> float:
-    """Metres along a lane to a vehicle's front bumper: SUMO's where it has the vehicle there, else half a length beyond
-    the place that is nearest to its centre. So it is for a vehicle that stands across, too."""
+    """Return the distance along a lane to a vehicle's front bumper [m].
+
+    It is SUMO's value if SUMO has the vehicle on that lane and the vehicle does not stand across. Otherwise, it is half
+    a
+    length beyond the place on the lane that is nearest to the vehicle's centre.
+
+    Args:
+        lane: The lane.
+        vehicle: The vehicle's present state.
+        simulation: The simulation.
+    """
     if lane.id == vehicle.lane and _turned(lane, vehicle) < ACROSS_RAD:
         return lane.station_of(simulation.lane_position(vehicle.id))
     return _front(lane, vehicle)
 
 
 def _front(lane: NetworkLane, vehicle: VehicleState) -> float:
-    """Half a vehicle's length beyond the place on a lane that is nearest to its centre [m]."""
+    """Return the station half a vehicle's length beyond the place on a lane that is nearest to its centre [m]."""
     return lane.station_at(vehicle.x, vehicle.y) + vehicle.length / 2
 
 
 def _turned(lane: NetworkLane, vehicle: VehicleState) -> float:
-    """The angle between a vehicle and a lane's direction [rad]."""
+    """Return the angle between a vehicle and a lane's direction [rad]."""
     return abs(wrap(lane.direction_at(lane.station_at(vehicle.x, vehicle.y)) - vehicle.heading))
 
 
 def _edge_of(road: RoadMap, lane: NetworkLane) -> str:
-    """A lane's edge; of one over a junction the edge that it leads to."""
+    """Return the edge of a lane. For a lane over a junction, it is the edge to which the lane leads."""
     seen = set[str]()
     while lane.internal and lane.connections and lane.id not in seen:
         seen.add(lane.id)
@@ -207,19 +239,29 @@ def _edge_of(road: RoadMap, lane: NetworkLane) -> str:
 
 
 def against(lane: NetworkLane, vehicle: VehicleState) -> bool:
-    """Whether a vehicle heads against a lane's direction."""
+    """Return whether a vehicle heads against the direction of a lane.
+
+    Args:
+        lane: The lane.
+        vehicle: The vehicle's present state.
+    """
     return _turned(lane, vehicle) > math.pi / 2
 
 
 def lane_on_route(road: RoadMap, vehicle: VehicleState, route: Sequence[str], vclass: str) -> NetworkLane | None:
-    """The lane that a vehicle drives on along its route; None off all lanes.
+    """Return the lane that a vehicle drives on along its route.
 
-    That is SUMO's lane, unless it is not on the route, leads the other way or is above or below the vehicle, and a lane
-    of the route is near.
+    It is a lane of the route, or the vehicle's own way, near the vehicle if SUMO's lane is not on the route, leads the
+    other way, or is above or below the vehicle. Otherwise, or if no such lane is near, it is SUMO's lane.
 
     Args:
-        route: the vehicle's edges; empty: unknown.
+        road: The map.
+        vehicle: The vehicle's present state.
+        route: The vehicle's edges; empty if they are unknown.
         vclass: SUMO's class of the vehicle.
+
+    Returns:
+        The lane; None off all lanes.
     """
     lane = road.lanes.get(vehicle.lane)
     if lane is None or (_edge_of(road, lane) in route and _leading(road, vehicle, [lane])):
@@ -233,7 +275,7 @@ def lane_on_route(road: RoadMap, vehicle: VehicleState, route: Sequence[str], vc
 
 
 def _beside(road: RoadMap, vehicle: VehicleState, lane: NetworkLane, vclass: str) -> NetworkLane:
-    """The nearest lane that leads the vehicle's way on its layer, where its own does not."""
+    """Return the vehicle's lane or, if it does not lead the vehicle's way on its layer, the nearest lane that does."""
     if _leading(road, vehicle, [lane]):
         return lane
     near = _leading(road, vehicle, road.lanes_near(vehicle.x, vehicle.y, BESIDE_M))
@@ -242,5 +284,5 @@ def _beside(road: RoadMap, vehicle: VehicleState, lane: NetworkLane, vclass: str
 
 
 def _leading(road: RoadMap, vehicle: VehicleState, lanes: Sequence[NetworkLane]) -> list[NetworkLane]:
-    """Those of some lanes that lead a vehicle's way on its layer."""
+    """Return the lanes that lead a vehicle's way on its layer."""
     return [lane for lane in road.level(lanes, vehicle.x, vehicle.y, vehicle.z) if not against(lane, vehicle)]
