@@ -1,9 +1,9 @@
-"""Describes the encounter that begins now, for ``run`` and for ``serve``.
+"""Describe the encounter that begins now, for ``run`` and for ``serve``.
 
-They differ in the baseline: ``run`` simulates it in a fork, ``serve`` foresees it (``traffic_forecast``).
+The two differ in the baseline: ``run`` simulates it in a fork, and ``serve`` predicts it (``traffic_forecast``).
 
-The encounter of a recording may be attacked from its beginning to shortly before its end, or before the log itself
-becomes dangerous, by whatever vehicle could begin an attack at that moment.
+The encounter of a recording may be attacked from its beginning to shortly before its end, or to shortly before the log
+itself becomes dangerous. Any vehicle that could begin an attack at that moment may attack.
 """
 
 from __future__ import annotations
@@ -33,16 +33,21 @@ from sumo_adv.situation import fastest_of
 
 # -- dangerous without an attack ------------------------------------------------------------------------------------
 
-ENDANGERS = "could endanger the ego"  # ends the reason where no vehicle near could
-MIN_EGO_STAY_S = 2.0  # s from the trigger until which the ego must stay in the network
-ENCOUNTER_REACH_M = 30.0  # m between centres
-MAX_NAMED_VEHICLES, NAMED_WITHIN_M = 4, 200.0  # vehicles that a reason names at most, and how near they are [m]
-AS_LOGGED_DISTANCE_M = 0.1  # m: largest sum of the distances of ego and vehicle from their logged positions
+ENDANGERS = "could endanger the ego"  # the end of a reason if no vehicle near the ego could
+MIN_EGO_STAY_S = 2.0  # s after the trigger for which the ego must stay in the network
+ENCOUNTER_REACH_M = 30.0  # m between centres; only vehicles that come nearer to the ego are checked
+MAX_NAMED_VEHICLES, NAMED_WITHIN_M = 4, 200.0  # maximum number of vehicles in a reason, and their distance [m]
+AS_LOGGED_DISTANCE_M = 0.1  # m; maximum sum of the distances of ego and vehicle from their logged positions
 
 
 class Danger(NamedTuple):
-    """Why an encounter is passed over, or empty; the vehicles that are critical without an attack; since when [s] a
-    vehicle is critical or collides."""
+    """Whether an encounter is dangerous without an attack.
+
+    Attributes:
+        why: Why the encounter is passed over; empty if it is not.
+        critical: The vehicles that are critical without an attack.
+        since: The time from which a vehicle is critical or collides [s].
+    """
 
     why: str
     critical: frozenset[str]
@@ -50,14 +55,21 @@ class Danger(NamedTuple):
 
 
 def danger(tracks: Mapping[str, Track], drive: Drive, time: float, limit: float, candidates: Collection[str]) -> Danger:
-    """Whether the encounter at ``time`` [s] is dangerous without an attack.
+    """Check whether an encounter is dangerous without an attack.
 
-    tracks: the baseline; limit: the min TTC [s] from which a vehicle is critical; candidates: the ranked vehicles.
+    An encounter is passed over if the ego leaves, if it collides, or if a vehicle is critical. A recording has few
+    encounters. There, a critical vehicle is only excluded as a candidate, and the encounter is passed over if no
+    candidate is left.
 
-    An encounter is passed over if the ego leaves, collides, or a vehicle is critical.  A recording has few encounters:
-    there a critical vehicle is only no candidate, and the encounter is passed over if no candidate is left.  Boxes that
-    overlap at their logged positions are an error of the log: no collision, and the vehicle is no candidate.  For
-    objects that are no vehicles only a contact counts.
+    Boxes that overlap at their logged positions are an error of the log. They are no collision, and the vehicle is no
+    candidate. For objects that are no vehicles, only a contact counts.
+
+    Args:
+        tracks: The baseline by id.
+        drive: The simulation with the ego.
+        time: The time of the encounter [s].
+        limit: The minimum TTC up to which a vehicle is critical [s].
+        candidates: The ranked vehicles.
     """
     ego = tracks[str(drive.ego)]
     if ego.time[-1] < time + MIN_EGO_STAY_S:
@@ -88,7 +100,7 @@ def danger(tracks: Mapping[str, Track], drive: Drive, time: float, limit: float,
 
 
 def _overlapping(drive: Drive, tracks: Mapping[str, Track], ego: Track, grid: Floats) -> frozenset[str]:
-    """Vehicles that overlap the ego at the first step, or later while both are at their logged positions."""
+    """Return vehicles that overlap the ego at the first step, or later while both are at their logged positions."""
     others = [t for t in tracks.values() if t.id != ego.id]
     logged = {} if drive.playback is None else {t.id: t for t in drive.playback.logged()}
     if not others or ego.id not in logged:
@@ -106,11 +118,17 @@ def _overlapping(drive: Drive, tracks: Mapping[str, Track], ego: Track, grid: Fl
 
 # -- out of reach ---------------------------------------------------------------------------------------------------
 
-SET_OUT_INTERVAL_S = 0.5  # s between the moments at which it may set out
+SET_OUT_INTERVAL_S = 0.5  # s between the moments at which a vehicle may leave its own motion
 
 
 class Reach(NamedTuple):
-    """The vehicle that comes nearest, the metres that it is short by (0 or less: it reaches the ego), and when [s]."""
+    """How near a vehicle could come to the ego.
+
+    Attributes:
+        vehicle: The vehicle that comes nearest.
+        short: The distance that it is short by [m]; 0 or less if it reaches the ego.
+        time: When it comes nearest [s].
+    """
 
     vehicle: str
     short: float
@@ -118,10 +136,20 @@ class Reach(NamedTuple):
 
 
 def nearest_reach(tracks: Mapping[str, Track], ego: str, time: float, acceleration: float) -> Reach | None:
-    """Which vehicle comes nearest to the ego's unattacked motion from ``time`` [s] on; None without any.
+    """Find the vehicle that could come nearest to the ego's unattacked motion.
 
-    It sets out from its own motion, heads straight for where the ego will be with ``acceleration`` [m/s2], and touches
-    it where their centres are half of both lengths apart: less than any road lets it need.
+    A vehicle leaves its own motion at any moment, accelerates up to its highest speed and heads straight for the place
+    where the ego will be. It touches the ego where their centres are half of both lengths apart. On any road it needs
+    to drive farther than that.
+
+    Args:
+        tracks: The baseline by id.
+        ego: The ego's id.
+        time: The time from which vehicles may leave their own motion [s].
+        acceleration: Their acceleration [m/s2].
+
+    Returns:
+        The vehicle; None if there is no other vehicle.
     """
     me = tracks[ego].between(time, math.inf)
     best: Reach | None = None
@@ -146,7 +174,14 @@ def nearest_reach(tracks: Mapping[str, Track], ego: str, time: float, accelerati
 
 
 def why_nobody(tracks: Mapping[str, Track], ego: str, time: float, acceleration: float) -> str:
-    """Why no vehicle of a recording can attack, in words."""
+    """Return why no vehicle of a recording can attack, in words.
+
+    Args:
+        tracks: The baseline by id.
+        ego: The ego's id.
+        time: The time from which vehicles may attack [s].
+        acceleration: The acceleration of a vehicle that heads for the ego [m/s2].
+    """
     nearest = nearest_reach(tracks, ego, time, acceleration)
     if nearest is None:
         return "no other vehicle is there"
@@ -160,18 +195,20 @@ def why_nobody(tracks: Mapping[str, Track], ego: str, time: float, acceleration:
 
 # -- the encounter --------------------------------------------------------------------------------------------------
 
-LOG_DANGER_MARGIN_S = 0.3  # s before a log becomes dangerous by itself, at which attempts end
-MAX_RECORDED_ADVERSARIES = 12  # of a recording, that may attack
+LOG_DANGER_MARGIN_S = 0.3  # attempts end this time [s] before a log itself becomes dangerous
+MAX_RECORDED_ADVERSARIES = 12  # maximum number of vehicles of a recording that may attack
 ROAD_MARGIN_M = 150.0  # m around the unattacked ego's path within which the drivable area is known
 
 
 @dataclass(frozen=True, slots=True)
 class UnattackedMotion:
-    """The motion without an attack, simulated or foreseen.
+    """The motion without an attack, simulated or predicted.
 
-    tracks: by id, from the history before the trigger to the end; snapshots: the simulated states from the trigger on,
-    empty if the motion is foreseen; sizes: length and width [m] by id; looks: in a recording the vehicles that could
-    attack by seconds after the trigger, else empty.
+    Attributes:
+        tracks: The motion by id, from the history before the trigger to the end.
+        snapshots: The simulated states from the trigger on; empty if the motion is predicted.
+        sizes: The length and width by id [m].
+        looks: In a recording, the vehicles that could attack, by time after the trigger [s]; otherwise empty.
     """
 
     tracks: Mapping[str, Track]
@@ -185,13 +222,22 @@ def build_encounter(
     baseline_for: Callable[[float], UnattackedMotion], *, checked: float = math.inf, passed_over: Sequence[str] = (),
     delay: float | None = None,
 ) -> tuple[FoundEncounter, UnattackedMotion] | str:  # fmt: skip
-    """The encounter that begins now, and its baseline; or why it is passed over.
+    """Build the encounter that begins now.
+
+    If the log of a recording becomes dangerous by itself later on, ``drive.until`` is set, so that attempts end before.
 
     Args:
-        baseline_for: takes seconds from now and returns the baseline until then.
-        checked: seconds from now within which the baseline must not be dangerous itself.
-        passed_over: reasons why earlier encounters were passed over.
-        delay: the only delay after the trigger [s] at which an attack may begin; None = those of ``delays``.
+        drive: The simulation with the ego, at the trigger.
+        road: The map.
+        settings: The run's settings.
+        ranking: The vehicles that could attack, highest risk first.
+        baseline_for: Takes a duration from now [s] and returns the baseline until then.
+        checked: The time from now within which the baseline must not be dangerous itself [s].
+        passed_over: Why earlier encounters were passed over.
+        delay: The only delay after the trigger at which an attack may begin [s]; None allows those of ``delays``.
+
+    Returns:
+        The encounter and its baseline, or why the encounter is passed over.
     """
     nobody = f"no {vehicles_of(settings.kind)} near {ENDANGERS}"
     nobody += " within the ODD" if settings.odd is not None else ""
@@ -235,8 +281,17 @@ def build_encounter(
 
 
 def nearest_ones(drive: Drive) -> str:
-    """Where the nearest vehicles are, front from the ego's front, for the reason why no vehicle attacks; empty without
-    any."""
+    """Describe where the nearest vehicles are, from the ego's front to theirs.
+
+    The text follows the reason why no vehicle attacks. It names at most ``MAX_NAMED_VEHICLES`` within
+    ``NAMED_WITHIN_M``.
+
+    Args:
+        drive: The simulation with the ego.
+
+    Returns:
+        The text; empty without an ego or near vehicles.
+    """
     if drive.ego is None or drive.ego not in drive.snapshot.raw:
         return ""
     x, y, angle = drive.snapshot.raw[drive.ego][:3]
@@ -252,7 +307,7 @@ def nearest_ones(drive: Drive) -> str:
 
 
 def _most_dangerous(looks: Mapping[float, Sequence[RankedVehicle]]) -> list[RankedVehicle]:
-    """Each vehicle at its most dangerous moment, highest risk first, at most ``MAX_RECORDED_ADVERSARIES``."""
+    """Return each vehicle at its most dangerous moment, highest risk first, at most ``MAX_RECORDED_ADVERSARIES``."""
     best: dict[str, RankedVehicle] = {}
     for ranked in (c for delay in sorted(looks) for c in looks[delay]):
         if ranked.id not in best or ranked.risk > best[ranked.id].risk:
@@ -261,6 +316,6 @@ def _most_dangerous(looks: Mapping[float, Sequence[RankedVehicle]]) -> list[Rank
 
 
 def _area_around(ego: Track) -> tuple[float, float, float]:
-    """A circle (x, y, radius) [m] around the unattacked ego's path, with a margin."""
+    """Return a circle (x, y, radius) around the unattacked ego's path, with a margin [m]."""
     x, y = float(ego.x.min() + ego.x.max()) / 2, float(ego.y.min() + ego.y.max()) / 2
     return x, y, float(np.hypot(ego.x - x, ego.y - y).max()) + ROAD_MARGIN_M

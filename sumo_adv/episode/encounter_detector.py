@@ -1,9 +1,9 @@
-"""Says when an attack may begin, and which few background vehicles could carry it out, from the states up to now.
+"""Detect when an attack may begin, and which few background vehicles could carry it out, from the states up to now.
 
-Every half second the vehicles near the ego are placed relative to its path: ahead, behind, beside, oncoming, crossing
-or merging.  Vehicles that cannot meet the ego in time are dropped.  The others get a risk in [0, 1].  An encounter
-begins when the highest risk is at least ``RISK_ON`` and the next look finds at least ``RISK_OFF``. In a recording each
-later look tells which vehicles could begin an attack then, whatever their risk.
+Every half second, the vehicles near the ego are placed relative to its path: ahead, behind, beside, oncoming, crossing
+or merging. Vehicles that cannot meet the ego in time are dropped. The others get a risk in [0, 1]. An encounter begins
+when the highest risk is at least ``RISK_ON`` and is still at least ``RISK_OFF`` at the next look. In a recording, each
+later look ranks the vehicles that could begin an attack then, whatever their risk.
 """
 
 from __future__ import annotations
@@ -26,27 +26,35 @@ from sumo_adv.simulation.network import PathAhead, RoadMap
 from sumo_adv.simulation.permissions import MOTOR
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
-RISK_ON, RISK_OFF, LOOKS_ABOVE = 0.40, 0.30, 2
+RISK_ON, RISK_OFF, LOOKS_ABOVE = 0.40, 0.30, 2  # risk of the first look, of the next ones, and number of looks
 LOOK_INTERVAL_S = 0.5  # s
-COOL_DOWN_S = 2.0  # s without an encounter after an encounter that was passed over
-NEAR_DISTANCE_M, ONCOMING_DISTANCE_M = 70.0, 320.0  # m
-WAY_AHEAD_M = 330.0  # m of the ways ahead
-MIN_EGO_SPEED_M_S = 4.0  # m/s: an ego that stands has no encounter
-MIN_SAME_WAY_SPEED_M_S = 2.0  # m/s: of a vehicle that drives the ego's way
-MAX_START_ACCELERATION_M_S2 = 3.0  # m/s2: acceleration of a BV that hurries to a conflict
-MAX_LATER_ARRIVAL_S = 0.2  # s: how much later than the ego a BV may arrive at a conflict
+COOL_DOWN_S = 2.0  # s after an encounter that was passed over in which no other one begins
+NEAR_DISTANCE_M, ONCOMING_DISTANCE_M = 70.0, 320.0  # m; the latter holds ahead and for other headings
+WAY_AHEAD_M = 330.0  # m; length of the ways ahead
+MIN_EGO_SPEED_M_S = 4.0  # m/s; a slower ego has no encounter
+MIN_SAME_WAY_SPEED_M_S = 2.0  # m/s; a slower vehicle that drives the ego's way has no risk
+MAX_START_ACCELERATION_M_S2 = 3.0  # m/s2; acceleration of a BV that hurries to a conflict
+MAX_LATER_ARRIVAL_S = 0.2  # s; how much later than the ego a BV may arrive at a conflict
 CONFLICT_TIMES_S = (1.5, 12.0)  # s from now until the ego is at the conflict
 SAME_LANE_OFFSET_M = 1.2  # m
-MIN_LOGGED_WAY_M = 1.0  # m: a shorter log shows no path
+MIN_LOGGED_WAY_M = 1.0  # m; a shorter log shows no path
 BESIDE_OFFSET_M = 8.5  # m
 BEHIND_DISTANCE_M = 45.0  # m behind the ego, for vehicles on the ego's path
-AHEAD_DISTANCE_M = 60.0  # ahead of the ego, for vehicles on its path
+AHEAD_DISTANCE_M = 60.0  # m ahead of the ego, for vehicles on its path
 FAR_AHEAD_DISTANCE_M = 100.0  # the same if no other vehicle is ranked
 
 
 @dataclass(frozen=True, slots=True)
 class RankedVehicle:
-    """A BV that could be the adversary: its relation to the ego, its risk in [0, 1], its ways on, its lane."""
+    """A BV that could be the adversary.
+
+    Attributes:
+        id: Its id.
+        relation: Its relation to the ego.
+        risk: Its risk in [0, 1].
+        ways: The ways that it can take from here.
+        lane: The id of its lane.
+    """
 
     id: str
     relation: str
@@ -61,22 +69,46 @@ class RankedVehicle:
 
 
 class EncounterDetector:
-    """Watches one ego. Call ``look`` every half second."""
+    """Watches one ego. Call ``look`` every half second.
+
+    Attributes:
+        road: The map.
+        shortlist: The maximum number of ranked vehicles.
+        only: The vehicles that may attack.
+        kinds: The relations that they may have.
+        odd: The ODD.
+        best: The highest risk at any look.
+    """
 
     def __init__(
         self, road: RoadMap, shortlist: int, only: tuple[str, ...] = (), kinds: tuple[str, ...] = (), *,
         recorded: bool = False, odd: Odd | None = None,
     ) -> None:  # fmt: skip
-        """shortlist: maximum number of ranked vehicles; only: the vehicles that may attack; kinds: the relations to the
-        ego that they may have. Both are empty for all. odd: no encounter begins outside it."""
+        """Start before the first look.
+
+        Args:
+            road: The map.
+            shortlist: The maximum number of ranked vehicles.
+            only: The vehicles that may attack; empty allows all.
+            kinds: The relations to the ego that they may have; empty allows all.
+            recorded: Whether the ego and the traffic are recorded, so that they may be slow.
+            odd: The ODD outside which no encounter begins; None allows all places.
+        """
         self.road, self.shortlist, self.only, self.kinds, self.odd = road, shortlist, only, kinds, odd
         self.best, self._looks, self._recorded = 0.0, 0, recorded
         self._slowest = 0.0 if recorded else MIN_EGO_SPEED_M_S
-        self._path = self._moved = self._near_one = False  # seen at some look: a path, an ego that moves, a vehicle
+        self._path = self._moved = self._near_one = False  # seen at some look: a path, a moving ego, a vehicle
         self._outside = False  # the ego or a vehicle near was outside the ODD at some look
 
     def look(self, drive: Drive) -> list[RankedVehicle] | None:
-        """The ranking, highest risk first, if an encounter begins now; else None."""
+        """Look for an encounter that begins now.
+
+        Args:
+            drive: The simulation with the ego.
+
+        Returns:
+            The ranking, highest risk first, if an encounter begins now; otherwise None.
+        """
         ranking = self.rank(drive)
         top = ranking[0].risk if ranking else 0.0
         self.best = max(self.best, top)
@@ -84,8 +116,15 @@ class EncounterDetector:
         return ranking if self._looks >= LOOKS_ABOVE else None
 
     def rank(self, drive: Drive) -> list[RankedVehicle]:
-        """The vehicles that could attack, highest risk first. Empty if the ego is off the road or too slow; an ego of a
-        recording may stand."""
+        """Return the vehicles that could attack.
+
+        Args:
+            drive: The simulation with the ego.
+
+        Returns:
+            At most ``shortlist`` vehicles, highest risk first. Empty if the ego is off the road or too slow; an ego of
+            a recording may stand.
+        """
         assert drive.ego is not None
         ego = drive.state(drive.ego)
         path = ego_path(self.road, drive)
@@ -103,7 +142,7 @@ class EncounterDetector:
         return sorted(placed, key=lambda c: (-c.risk, c.id))[: self.shortlist]
 
     def _inside(self, odd: Odd, drive: Drive, placed: list[RankedVehicle]) -> list[RankedVehicle]:
-        """Those of the vehicles that the ODD lets attack here."""
+        """Return the vehicles that the ODD lets attack here."""
         inside = odd.contains(place_of(self.road, drive))
         kept = [c for c in placed if inside and odd.has_relation(c.relation)]
         self._outside |= len(kept) < len(placed)
@@ -119,12 +158,12 @@ class EncounterDetector:
 
     @property
     def outside(self) -> str:
-        """A sentence, if the ODD kept vehicles from attacking; else empty."""
+        """A sentence if the ODD kept vehicles from attacking; otherwise empty."""
         return "The ODD kept vehicles from attacking." if self._outside else ""
 
     @property
     def missing(self) -> str:
-        """What kept the ego from an encounter, in a sentence."""
+        """What kept the ego from an encounter, as a sentence."""
         if self.outside:
             return self.outside
         if not self._path:
@@ -138,11 +177,12 @@ class EncounterDetector:
     def _placed(
         self, drive: Drive, names: Sequence[str], ego: VehicleState, path: Path, ahead: float
     ) -> list[RankedVehicle]:
-        """The vehicles with a risk. ``ahead``: how far ahead of the ego a vehicle on its path may be [m]."""
+        """Rank the vehicles with a risk; those on the ego's path may be ``ahead`` [m] of it at most."""
         placed = [self._place(drive, name, ego, path, ahead) for name in names]
         return [c for c in placed if c is not None and c.risk > 0 and (not self.kinds or c.relation in self.kinds)]
 
     def _near(self, drive: Drive, ego: VehicleState) -> list[str]:
+        """Return the vehicles that are near enough, and of a kind that may attack."""
         names, obstacles = [], drive.obstacles
         c, s = math.cos(ego.heading), math.sin(ego.heading)
         for name in drive.snapshot.raw:
@@ -161,6 +201,7 @@ class EncounterDetector:
         return names
 
     def _place(self, drive: Drive, name: str, ego: VehicleState, path: Path, ahead: float) -> RankedVehicle | None:
+        """Rank a vehicle by its relation to the ego's path; return None if it has no relation or no way."""
         bv = drive.state(name)
         if is_unprotected(bv):
             on_lane = bv.id not in drive.obstacles and bv.lane in self.road.lanes
@@ -201,7 +242,11 @@ class EncounterDetector:
     def _same_way_risk(
         self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState, vclass: str
     ) -> float:
-        """Risk of a vehicle of a class that drives the ego's way. It is lower if it has no lane beside its own."""
+        """Rate the risk of a vehicle that drives the ego's way.
+
+        It is lower for a leader or follower that has no lane beside its own, and for a neighbour 5 m or more to the
+        side of the ego's path.
+        """
         if bv.speed < MIN_SAME_WAY_SPEED_M_S and not self._recorded:
             return 0.0
         best_gap = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
@@ -215,18 +260,18 @@ class EncounterDetector:
 
 
 def _passes(bv: VehicleState, d: float, ego: VehicleState, path: Path) -> bool:
-    """Whether a vehicle ``d`` metres to the left of the ego's path has room to go past the ego as the ego drives."""
+    """Return whether a vehicle ``d`` [m] to the left of the ego's path has room to pass the ego as the ego drives."""
     return abs(d - path.project(ego.x, ego.y)[1]) > (bv.width + ego.width) / 2
 
 
 def _oncoming_risk(s: float, closing: float) -> float:
-    """Risk of oncoming traffic: highest 3 to 5 s before the two meet."""
+    """Rate the risk of oncoming traffic; it is highest 3 to 5 s before the two meet."""
     time = s / max(closing, 0.1)
     return 0.9 * math.exp(-max(0.0, abs(time - 4.0) - 1.0) / 1.5) if 1.8 < time < 10.0 else 0.0
 
 
 def _conflict_risk(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> float:
-    """Risk at a conflict point: high if both arrive at about the same time, 0 if the BV cannot arrive in time."""
+    """Rate the risk at a conflict: high if both arrive at about the same time, 0 if the BV cannot arrive in time."""
     conflict = way.conflict
     assert conflict is not None
     if conflict.bv_s < 1.0 or conflict.ego_s < 1.0:
@@ -241,12 +286,25 @@ def _conflict_risk(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> f
 
 
 def vehicles_of(kinds: Sequence[str]) -> str:
-    """The vehicles that may attack, in words: ``oncoming or crossing vehicle``."""
+    """Name the vehicles that may attack, such as ``oncoming or crossing vehicle``.
+
+    Args:
+        kinds: The relations to the ego that they may have.
+    """
     return f"{' or '.join(kinds)} vehicle".strip()
 
 
 def ego_path(road: RoadMap, drive: Drive) -> Path | None:
-    """The path of the ego's lanes along its route, or the path of its log; None off the road."""
+    """Return the ego's path ahead.
+
+    Args:
+        road: The map.
+        drive: The simulation with the ego.
+
+    Returns:
+        The path of the lanes along the ego's route, or of its log if the log moves it. None if the ego is off the road,
+        or if its log is too short.
+    """
     assert drive.ego is not None
     ego = drive.state(drive.ego)
     if drive.replayed():
@@ -266,7 +324,7 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
 
 
 def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState) -> list[PathAhead]:
-    """All ways on of a vehicle along its lane; of one that overtakes on the other side along its own."""
+    """Return all ways of a vehicle along its lane or, if it overtakes on the opposite lane, along its own."""
     vclass = drive.kind(vehicle.id)
     lane = lane_on_route(road, vehicle, (), vclass)
     if lane is None:
@@ -277,7 +335,15 @@ def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState) -> list[PathAhead]
 
 
 def logged_path(road: RoadMap, drive: Drive) -> Path | None:
-    """The rest of the ego's log, continued along its route; None if the log is too short."""
+    """Return the rest of the ego's log, continued along its route.
+
+    Args:
+        road: The map.
+        drive: The simulation with the ego.
+
+    Returns:
+        The path; None if the log is too short.
+    """
     assert drive.ego is not None and drive.playback is not None
     points = drive.playback.ahead(drive.ego, drive.now)
     if road.heights is not None:
@@ -291,11 +357,18 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
 
 
 def continued(points: Floats, ways: Sequence[PathAhead]) -> Path:
-    """The path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights, and on along the first of the ways, if any,
-    for ``WAY_AHEAD_M`` metres."""
+    """Return the path through points, continued along the first of the ways.
+
+    Args:
+        points: The points, ``(n, 2)``, or ``(n, 3)`` with heights [m].
+        ways: The ways that begin at the last point; without any, the path goes straight on.
+
+    Returns:
+        The path, at least ``WAY_AHEAD_M`` long.
+    """
     if ways:
         way = ways[0].path
         onward = np.column_stack([way.x, way.y, np.broadcast_to(way.z, way.x.shape)])[:, : points.shape[1]]
-        points = np.vstack([points, onward[4:]])  # 2 m on: no fold where the points are off the centre
+        points = np.vstack([points, onward[4:]])  # from 2 m on, so that no fold arises if the points are off the centre
     path = make_path(points)
     return path if path.length > WAY_AHEAD_M else path.extended(WAY_AHEAD_M - path.length)

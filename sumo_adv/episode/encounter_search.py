@@ -1,4 +1,4 @@
-"""Simulates until an encounter begins, with the ego of the task or with an ego that is chosen here."""
+"""Simulate until an encounter begins, with the ego of the task or with an ego that is chosen here."""
 
 from __future__ import annotations
 
@@ -20,16 +20,31 @@ from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.permissions import OFF_ROAD_CLASSES
 
 EGO_PATIENCE_S = 15.0  # s after which a chosen ego without an encounter is replaced by another
-SAME_ENCOUNTER_S = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
-WHOLE_RECORDING_S = 10.0  # s: a recording that is no longer than this, or the rest of a longer one, is one encounter
+SAME_ENCOUNTER_S = 15.0  # s after an encounter was left in which its vehicles begin no other one
+WHOLE_RECORDING_S = 10.0  # s; a recording that is no longer, or the rest of a longer one, is one encounter
 INSERTED_EGO = "ego"
-MIN_CHOSEN_EGO_SPEED_M_S = 5.0  # of an ego that is chosen
-TRAFFIC_COUNT_RADIUS_M = 60.0  # within which traffic is counted to choose an ego
-MIN_ROUTE_LEFT_M = 150.0  # of an ego that is chosen
+MIN_CHOSEN_EGO_SPEED_M_S = 5.0  # m/s, of an ego that is chosen
+TRAFFIC_COUNT_RADIUS_M = 60.0  # m within which traffic is counted to choose an ego
+MIN_ROUTE_LEFT_M = 150.0  # m, for an ego that is chosen
 
 
 class EncounterSearch:
+    """Searches one simulation for encounters.
+
+    Attributes:
+        drive: The simulation.
+        road: The map.
+        task: What the engine was opened with.
+    """
+
     def __init__(self, drive: Drive, road: RoadMap, task: Task) -> None:
+        """Prepare the simulation, now and whenever it is loaded again.
+
+        Args:
+            drive: The simulation.
+            road: The map.
+            task: What the engine was opened with.
+        """
         self.drive, self.road, self.task = drive, road, task
         self._meetings = Meetings(road)
         self._left_egos = set[str]()
@@ -47,12 +62,18 @@ class EncounterSearch:
                 "departPos": str(route.position), "departSpeed": str(route.speed),
             }  # fmt: skip
             self.drive.simulation.add(INSERTED_EGO, route.edges, self.task.ego_base_type or "DEFAULT_VEHTYPE", depart)
-            if self.task.ego_base_type is None:  # SUMO draws a factor of the limit; this ego has none of its own
+            if self.task.ego_base_type is None:  # SUMO would draw its factor of the limit
                 self.drive.simulation.set_speed_factor(INSERTED_EGO, 1.0)
 
     def leave(self, ranked: Collection[str]) -> None:
-        """Look for something else than the encounter that began now with these vehicles: with another ego if it is
-        chosen here, else with other vehicles or later."""
+        """Leave the encounter that began now, and look for another one.
+
+        An ego that was chosen here is replaced by another one, except in a recording. Otherwise, the next encounter has
+        other vehicles or begins later.
+
+        Args:
+            ranked: The vehicles of the encounter.
+        """
         drive = self.drive
         self._left_vehicles, self._left_at = frozenset(ranked), drive.now
         if self.task.ego is None and drive.ego is not None and not drive.recorded():
@@ -66,8 +87,13 @@ class EncounterSearch:
             ends_at: When the search ends without one, as ``time.perf_counter()`` [s].
 
         Returns:
-            The ranking, highest risk first. It may be empty at a given trigger, and in the last ``WHOLE_RECORDING_S``
-            of a recording, which are one encounter as soon as the ego's history is known.
+            The ranking, highest risk first, or why there is no encounter. The ranking may be empty at a given trigger,
+            and in the last ``WHOLE_RECORDING_S`` of a recording, which are one encounter as soon as the ego's history
+            is known.
+
+        Raises:
+            UsageError: The requested ego or adversary cannot have its role.
+            MissingVehicleError: The requested ego or adversary was never inserted.
         """
         task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_INTERVAL_S)
         requested = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
@@ -91,7 +117,7 @@ class EncounterSearch:
                     name = self._choose_ego(tried)
                 if name is not None:
                     drive.take_over(name)
-                    # a recorded vehicle is there before its driver takes over
+                    # a recorded vehicle is there before the driver takes over
                     seen = (s.time for s in drive.recording.snapshots if name in s.raw)
                     since, detector = drive.now if requested is None else next(seen), self.watch()
             elif drive.ego not in snapshot.raw:
@@ -122,7 +148,7 @@ class EncounterSearch:
         return self._nothing(requested, detector)
 
     def _drives_another(self) -> bool:
-        """Have the driver take over and release the vehicles that it drives before the ego; whether it has one now."""
+        """Have the driver drive vehicles before the ego, as the task says; return whether it drives one now."""
         drive, half = self.drive, self.task.settings.step_length / 2
         for name, begin, end in self.task.driven_before:
             if drive.ego == name and abs(drive.now - end) < half:
@@ -134,7 +160,7 @@ class EncounterSearch:
         return False
 
     def _may_begin(self, requested: str) -> bool:
-        """Whether the requested ego is there and its driver may take over now."""
+        """Return whether the requested ego is there and its driver may take over now."""
         drive, earliest = self.drive, self.task.driven_from
         if requested in drive.obstacles:
             raise UsageError(f"'{requested}' is no vehicle, so it cannot be the ego; name another.")
@@ -142,17 +168,19 @@ class EncounterSearch:
         return there and (earliest is None or drive.now >= earliest - 1e-6)
 
     def nearly_over(self) -> bool:
-        """Whether the rest of a recording is attacked as a whole."""
+        """Return whether the rest of a recording is short enough to be attacked as a whole."""
         log = self.drive.playback if self.drive.recorded() else None
         return log is not None and log.spec.end - self.drive.now <= WHOLE_RECORDING_S
 
     def watch(self) -> EncounterDetector:
+        """Return a detector for an ego."""
         return EncounterDetector(
             self.road, self.task.settings.shortlist, self.task.only, self.task.settings.kind,
             recorded=self.drive.recorded(), odd=self.task.settings.odd,
         )  # fmt: skip
 
     def _nothing(self, requested: str | None, detector: EncounterDetector) -> NoEncounter:
+        """Return why no encounter began; raise if a requested vehicle is missing or unsuitable."""
         if requested is not None and self.drive.ego is None and requested not in self.drive.simulation.fleet.sizes:
             raise self._missing(requested, "check --ego-id")
         self._refuse_unknown()
@@ -169,7 +197,7 @@ class EncounterSearch:
         )
 
     def _refuse_unknown(self) -> None:
-        """Raises UsageError for a requested adversary that is the ego, was never inserted or cannot attack."""
+        """Raise UsageError for a requested adversary that is the ego, was never inserted or cannot attack."""
         if self.drive.ego in self.task.only:
             raise UsageError(f"Vehicle '{self.drive.ego}' is the ego, so it cannot be the adversary; name another.")
         unknown = [n for n in self.task.only if n not in self.drive.simulation.fleet.sizes]
@@ -187,7 +215,10 @@ class EncounterSearch:
         return MissingVehicleError(words, vehicle)
 
     def _choose_ego(self, tried: set[str]) -> str | None:
-        """The moving car with the most moving traffic within ``TRAFFIC_COUNT_RADIUS_M``; the first of equal ones."""
+        """Return the moving car with the most moving traffic within ``TRAFFIC_COUNT_RADIUS_M``; the first of equals.
+
+        Return None if no car that the driver may take over has moving traffic near it and enough of its route left.
+        """
         drive, raw, simulation = self.drive, self.drive.snapshot.raw, self.drive.simulation
         moving = [
             (n, *drive.pose(n)[:2])
