@@ -1,4 +1,4 @@
-"""What the memory bank learns from the attempts of an encounter, and what that changes for the next run."""
+"""What the memory bank learns from the attempts of an encounter, and how that changes the next run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,12 @@ from sumo_adv.search.supports import Cast, description_of
 
 @dataclass(frozen=True, slots=True)
 class Learnt:
-    """Whether the bank has learnt a success, and a sentence if it could not be written."""
+    """What the bank has learnt from an encounter.
+
+    Attributes:
+        success: Whether it has learnt a success.
+        note: Why the bank could not be written, as a sentence; empty if it could.
+    """
 
     success: bool = False
     note: str = ""
@@ -36,25 +41,29 @@ def learn(
 ) -> Learnt:  # fmt: skip
     """Write what the attempts of an encounter showed to the bank: a piece of evidence for each planner that was tried.
 
-    A critical and feasible attempt that is no rear-end adds its planner, and a generated intent, to the bank. A failed
-    one is recorded only if the bank has its planner.
+    The best attempt with a planner counts. If it is critical and feasible and no rear-end, its planner is added to the
+    bank, and so is a generated intent. A failed attempt is recorded only if the bank has its planner. Attempts with
+    supports count for their composition instead.
 
     Args:
         record: The encounter with its attempts.
         bank: The bank. If it cannot be written, nothing is raised.
         entries: The library that the attempts came from.
-        settings: The run's settings.
+        settings: The run's settings. With ``learn`` off, nothing is written.
         network: The name of the run's input.
         driver: The name of the ego's driver.
+
+    Returns:
+        What the bank has learnt.
     """
     if settings.learn == "off":
         return Learnt()
     success = False
     by_planner: dict[str, list[Attempt]] = {}
-    by_composition: dict[str, list[Attempt]] = {}  # those of several adversaries say nothing of a planner alone
+    by_composition: dict[str, list[Attempt]] = {}  # attempts with several adversaries say nothing about a planner alone
     for attempt in record.attempts:
         p = attempt.proposal
-        if attempt.ending not in ("ego_lost", "crashed"):  # else it was not driven to its end, and says nothing
+        if attempt.ending not in ("ego_lost", "crashed"):  # such an attempt did not reach its end
             tried, key = (by_composition, p.composition) if p.supports else (by_planner, p.planner.hash)
             tried.setdefault(key, []).append(attempt)
     try:
@@ -72,7 +81,7 @@ def learn(
 def _learn_composition(
     bank: MemoryBank, entries: Sequence[LibraryEntry], attempts: Sequence[Attempt], casts: Sequence[Cast], goal: Goal
 ) -> bool:
-    """Count the attempts of a composition, which a success adds if it is new; whether anything was learnt."""
+    """Count the attempts of a composition, which a success adds to the bank; return whether one was a success."""
     best = min(attempts, key=lambda a: rank(a.verdict)).proposal
     parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
     composition = Composition(best.composition, description_of(best, entries, casts), parts)
@@ -83,14 +92,14 @@ def _learn_composition(
 def _learn_one(
     bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt, scene: SceneSignature, network: str, seed: int
 ) -> bool:
-    """Write one piece of evidence; True if it is a success.
+    """Write one piece of evidence; return whether it is a success.
 
     An intent composed by the expert is written with all of its modes. They adapt the bank's own planners to another
     movement, and no planner is generated for an intent that the bank already has.
     """
     p = attempt.proposal
     entry = next((e for e in entries if e.label == p.label), None)
-    if entry is None:  # a free motion that was named after an intent that was not composed here
+    if entry is None:  # a free motion whose label is an intent that was not composed here
         return False
     planner = p.planner
     evidence = evidence_of(
@@ -111,15 +120,26 @@ def _learn_one(
 
 @dataclass(frozen=True, slots=True)
 class BankView:
-    """What an encounter depends on. templates: keys of what the search draws from, in order where nothing but the order
-    is tried. evidence: number of pieces, 0 where no model is shown them and no scene is recalled."""
+    """The content of the bank on which an encounter depends.
+
+    Attributes:
+        templates: The keys of the templates that the search draws from. They are in order if only the order is tried.
+        evidence: The number of pieces of evidence; 0 if no model is shown them and no scene is recalled.
+    """
 
     templates: tuple[tuple[float, str, str, str], ...]
     evidence: int
 
     @classmethod
     def of(cls, prepared: PreparedEncounter, settings: Settings, agents: Agents, bank: MemoryBank) -> BankView:
-        """Return the view of the bank as it is now, in an encounter."""
+        """Return the view of the bank as it is now, in an encounter.
+
+        Args:
+            prepared: The encounter.
+            settings: The run's settings.
+            agents: The models of the run.
+            bank: The bank.
+        """
         library, _ = read_library(bank, prepared.scene, settings.seed, prepared.found.situations)
         plain = [e for e in library if not composed(e)]  # the expert composes the others anyway
         templates = [t.key for t in templates_of(prepared.found.situations, plain)]
@@ -131,7 +151,14 @@ class BankView:
         )  # fmt: skip
 
     def difference(self, after: BankView) -> str:
-        """What a later view has that this one has not, in a sentence; empty if the next run is the same."""
+        """Return what the bank has learnt between this view and a later one, as a sentence.
+
+        Args:
+            after: The later view.
+
+        Returns:
+            The sentence; empty if the next run is the same.
+        """
         new = sorted({label for *_, label, _ in set(after.templates) - set(self.templates)})
         learnt = [f"planners of {', '.join(new)}"] if new else []
         learnt += ["another order of planners"] if not new and after.templates != self.templates else []

@@ -1,4 +1,4 @@
-"""What a run reads from the memory bank: library, retrieval, recall of scenes."""
+"""Read the memory bank for a run: library, retrieval and recall of scenes."""
 
 from __future__ import annotations
 
@@ -20,16 +20,25 @@ from sumo_adv.search.supports import ANY_FITTING, Cast
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Situation
 
-CONFIRMED_INTENTS = 2  # the analyzer compares a new intent with this number of nearest intents
+CONFIRMED_INTENTS = 2  # number of nearest intents with which the analyzer compares a new one
 
 
 def read_library(
     bank: MemoryBank, now: SceneSignature, seed: int, situations: Mapping[float, Situation]
 ) -> tuple[list[LibraryEntry], list[dict[str, object]]]:
-    """The bank's active intents as a library, and how their planners were ordered, for the manifest.
+    """Read the bank's active intents as a library.
 
-    Thompson sampling orders an intent's planners by their evidence in scenes like ``now``. Where a pedestrian or
-    cyclist could be the adversary, the shipped intents for them are added (``unprotected_library``).
+    Thompson sampling orders an intent's planners by their evidence in scenes like ``now``. If a pedestrian or cyclist
+    could be the adversary, the shipped intents for them are added (``unprotected_library``).
+
+    Args:
+        bank: The bank.
+        now: The present scene.
+        seed: The seed of Thompson sampling.
+        situations: The situations by delay after the trigger [s].
+
+    Returns:
+        The library, and how the planners of each intent were ordered, for the manifest.
     """
     rng = random.Random(seed)
     entries, explained = [], list[dict[str, object]]()
@@ -50,7 +59,7 @@ def read_library(
 
 @lru_cache(maxsize=1)
 def unprotected_library() -> tuple[LibraryEntry, ...]:
-    """The shipped intents of pedestrians and cyclists. They come into a bank with their first success."""
+    """Return the shipped intents of pedestrians and cyclists. Their first success adds them to a bank."""
     with MemoryBank.open(data_folder("unprotected_bank.sqlite"), read_only=True) as shipped:
         return tuple(
             LibraryEntry(r.label, r.description, r.applies, tuple(shipped.planners(r.label)), "generated")
@@ -59,7 +68,7 @@ def unprotected_library() -> tuple[LibraryEntry, ...]:
 
 
 def _with(entries: Sequence[LibraryEntry], shipped: LibraryEntry) -> list[LibraryEntry]:
-    """A library with a shipped intent; if the library has it, with the planners of it that the library lacks."""
+    """Add a shipped intent to a library; if the library has the intent, add only the planners that it lacks."""
     held = next((e for e in entries if e.label == shipped.label), None)
     if held is None:
         return [*entries, shipped]
@@ -69,8 +78,18 @@ def _with(entries: Sequence[LibraryEntry], shipped: LibraryEntry) -> list[Librar
 
 
 def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ()) -> Selection:
-    """The intents of a bank that settings and a scenario allow. Raises UsageError for unknown ones. A scenario may name
-    intents that the bank lacks or has retired, if the program ships them."""
+    """Return the intents of a bank that settings and a scenario allow.
+
+    A scenario may name intents that the bank lacks or has retired, if the program ships them.
+
+    Args:
+        settings: The run's settings.
+        bank: The bank.
+        scenario: The intents that the scenario names; empty allows all.
+
+    Raises:
+        UsageError: The settings or the scenario name an unknown intent, or no intent is left.
+    """
     labels = [record.label for record in bank.intents() if record.status == "active"]
     labels += [entry.label for entry in unprotected_library()]
     if not settings.intents:
@@ -83,7 +102,7 @@ def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ())
 
 @lru_cache(maxsize=1)
 def shipped_labels() -> frozenset[str]:
-    """The canonical labels of the bank that comes with the program."""
+    """Return the canonical labels of the bank that comes with the program."""
     with MemoryBank.open(data_folder("memory_bank.sqlite"), read_only=True) as shipped:
         return frozenset(canonical(record.label) for record in shipped.intents())
 
@@ -92,7 +111,21 @@ def recall(
     found: FoundEncounter, library: Sequence[LibraryEntry], bank: MemoryBank, selection: Selection, limits: Limits,
     driver: str,
 ) -> tuple[Intent, Proposal] | None:  # fmt: skip
-    """Return the attack that the bank remembers from the most similar scene; None if no scene is similar enough."""
+    """Return the attack that the bank remembers from the most similar scene.
+
+    Valid collisions take precedence over other successes; then the nearest scene wins.
+
+    Args:
+        found: The encounter.
+        library: The library of the run.
+        bank: The bank.
+        selection: The intents that may be tried.
+        limits: The limits of the acceleration.
+        driver: The name of the ego's driver.
+
+    Returns:
+        The intent and the attack; None if no scene is similar enough.
+    """
     best: tuple[tuple[bool, float], Intent, Proposal] | None = None
     for delay, situation in sorted(found.situations.items()):
         for target in situation.target_list():
@@ -117,8 +150,10 @@ def recall(
 def _remembered(
     library: Sequence[LibraryEntry], evidence: Evidence, limits: Limits
 ) -> tuple[LibraryEntry, Planner] | None:
-    """The entry and the planner that a piece of evidence is about; None if they are retired, or if the acceleration
-    is beyond the limits of this run."""
+    """Return the entry and the planner that a piece of evidence is about.
+
+    Return None if they are retired, or if the acceleration is beyond the limits of this run.
+    """
     try:
         acceleration_of(evidence.acceleration, limits)
     except ValueError:
@@ -132,8 +167,13 @@ def _remembered(
 
 @dataclass(frozen=True, slots=True)
 class Retrieved:
-    """The intents under the labels of their entries, the library that has these entries, and the seconds in the
-    bank."""
+    """The library for the intents of an encounter.
+
+    Attributes:
+        intents: The intents, each with the label of its entry.
+        library: The library that has these entries.
+        seconds: The time spent in the bank [s].
+    """
 
     intents: Sequence[Intent]
     library: Sequence[LibraryEntry]
@@ -144,13 +184,21 @@ def retrieve(
     given: Sequence[Intent], agents: Agents, situations: Mapping[float, Situation], library: Sequence[LibraryEntry],
     bank: MemoryBank,
 ) -> Retrieved:  # fmt: skip
-    """Return the library with entries for the ``given`` intents.
+    """Return the library with entries for intents.
 
     An intent that a model calls novel is novel, unless the model says that it is one of the nearest two. Without a
-    judgement, an intent within epsilon of a library entry takes that entry's label. A novel intent gets a new
-    entry, with generated planners.
+    judgement, an intent within epsilon of a library entry takes that entry's label. A novel intent gets a new entry,
+    with generated planners.
 
-    Raises ModelError: a model plays the analyzer or the generator and failed.
+    Args:
+        given: The intents.
+        agents: The models of the run.
+        situations: The situations by delay after the trigger [s].
+        library: The library so far.
+        bank: The bank.
+
+    Raises:
+        ModelError: A model that plays the analyzer or the generator failed.
     """
     entries, by_label, intents, spent = list(library), {e.label: e for e in library}, list(given), 0.0
     situation = situations[min(situations)]
@@ -166,7 +214,7 @@ def retrieve(
         else:
             same = None if retrieved.hit is None else replace(intent, label=retrieved.hit)
         words = situation.targets[intent.bv].applies()
-        if same is not None:  # a near intent's planners are used, also from where this vehicle stands
+        if same is not None:  # use the planners of the near intent, and extend it to this vehicle's place
             hit = by_label[same.label]
             entry = replace(hit, applies=tuple(dict.fromkeys((*hit.applies, *words))))
             entries = [entry if e.label == hit.label else e for e in entries]
@@ -183,10 +231,17 @@ def retrieve(
 
 
 def known_casts(casts: Sequence[Cast], bank: MemoryBank) -> list[Cast]:
-    """Proposed compositions, each replaced by the bank's own if the bank knows one with its label or description.
+    """Replace each proposed composition by the bank's own if the bank knows one with its label or description.
 
     The bank's parts and modes then count. A part is carried out by the vehicle that was proposed for its role, or by
     any that fits if none was.
+
+    Args:
+        casts: The proposed compositions with their vehicles.
+        bank: The bank.
+
+    Returns:
+        The compositions with their vehicles, in the same order.
     """
     replaced = []
     for cast in casts:
@@ -205,7 +260,16 @@ def known_casts(casts: Sequence[Cast], bank: MemoryBank) -> list[Cast]:
 
 
 def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSignature) -> dict[str, str]:
-    """How often each intent was tried in encounters of this geometry against this driver, as a sentence by label."""
+    """Count the attempts with each intent in encounters of this geometry against this driver.
+
+    Args:
+        bank: The bank.
+        library: The library of the run.
+        now: The present scene.
+
+    Returns:
+        A sentence for each intent that was tried, by label.
+    """
     tallies, key = {}, (now.geometry, now.controller)
     for entry in library:
         like = [e for e in bank.evidence(entry.label) if (e.scene.geometry, e.scene.controller) == key]
@@ -218,7 +282,13 @@ def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSign
 
 
 def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:
-    """What makes scenes alike: geometry class, relation, relative state of the BV (m, rad, m/s), the ego's driver."""
+    """Return what makes scenes alike: geometry class, relation, relative state of the BV, and the ego's driver.
+
+    Args:
+        situation: The situation at the start of the attack.
+        bv: The id of the BV. Its relative state is in m, rad and m/s.
+        driver: The name of the ego's driver.
+    """
     target = situation.targets[bv]
     x, y, heading = situation.frame.to_local(target.state.x, target.state.y, target.state.heading)
     scene = (x, y, heading, target.state.speed, situation.ego.speed)

@@ -1,7 +1,8 @@
-"""The mildest variant of a recorded attack that still reaches a level, against the same ego: later, gentler, slower.
+"""Find the mildest variant of a recorded attack that still reaches a level: later, gentler and slower.
 
-Variants of the mildest attack so far are drawn near its parameters and at all starts. Those that are predicted to
-reach the level and to be milder are tried, the mildest first. The search ends when no variant promises to be milder.
+Variants meet the same ego. They are drawn near the parameters of the mildest attack so far, and at all starts. Among
+those that are predicted to reach the level, the mildest one of each round is tried if it promises to be milder than the
+mildest attack so far. The search ends after ``MAX_ROUNDS_WITHOUT_GAIN`` rounds without a milder attack.
 """
 
 from __future__ import annotations
@@ -28,34 +29,59 @@ from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.sampling import Scorer, varied
 from sumo_adv.simulation.inputs import RunInput
 
-HARSHNESS_OF_DELTA_V_PER_S = 1.0  # 1/s: a delta-v of 1 m/s counts as an acceleration of 1 m/s2
-HARSHNESS_OF_EARLINESS_M_S3 = 0.2  # m/s3 for each second of delay that is given away: later tells more about the ego
+HARSHNESS_OF_DELTA_V_PER_S = 1.0  # 1/s; a delta-v of 1 m/s counts as an acceleration of 1 m/s2
+HARSHNESS_OF_EARLINESS_M_S3 = 0.2  # m/s3; for each second before the latest start: a later attack tells more
 VARIANTS_PER_ROUND = 120  # variants predicted in each round
-VARIANT_SPREADS = (0.3, 0.1, 0.03)  # of a parameter's range: standard deviations, in turn
-MAX_ROUNDS_WITHOUT_GAIN = 6  # in a row without a milder attack, then it ends
+VARIANT_SPREADS = (0.3, 0.1, 0.03)  # standard deviations, as shares of a parameter's range; used in turn
+MAX_ROUNDS_WITHOUT_GAIN = 6  # rounds in a row without a milder attack after which the search ends
 MIN_GAIN_SHARE = 0.02  # share by which a variant must be predicted to be milder
 
 
 class Minimiser:
-    """Proposes variants of an attack that promise to be milder; ``best`` is the mildest that reached the level. The
-    harshness of an attack is a sum [m/s2]: its largest acceleration, the ego's delta-v, and how early it begins."""
+    """Proposes variants of an attack that promise to be milder.
+
+    The harshness of an attack is a sum [m/s2]: its largest acceleration, the ego's delta-v, and how early it begins.
+
+    Attributes:
+        best: The mildest attack so far that reached the level.
+        harshness: Its harshness in the simulation [m/s2].
+    """
 
     def __init__(
         self, scorer: Scorer, first: Proposal, harshness: float, level: Level, starts: Sequence[float], seed: int
     ) -> None:
-        """first: the attack, with ``harshness`` in the simulation; starts: delays at which variants may begin [s]."""
+        """Start from an attack.
+
+        Args:
+            scorer: Predicts variants.
+            first: The attack.
+            harshness: The attack's harshness in the simulation [m/s2].
+            level: The level that a variant must reach.
+            starts: The delays after the trigger at which variants may begin [s].
+            seed: The seed of the variants.
+        """
         self._scorer, self._level, self._starts, self._random = scorer, level, tuple(starts), Random(seed)
         self.best, self.harshness = first, harshness
         self._latest, self._failed, self._spreads = max(starts), 0, cycle(VARIANT_SPREADS)
 
     def harshness_of(self, acceleration: float, delta_v: float, delay: float) -> float:
-        """Harshness [m/s2] from the largest acceleration [m/s2], the ego's delta-v [m/s] and the delay [s]."""
+        """Return the harshness of an attack [m/s2].
+
+        Args:
+            acceleration: Its largest acceleration [m/s2].
+            delta_v: The ego's delta-v [m/s].
+            delay: Its start, as time after the trigger [s].
+        """
         return (
             acceleration + HARSHNESS_OF_DELTA_V_PER_S * delta_v + HARSHNESS_OF_EARLINESS_M_S3 * (self._latest - delay)
         )
 
     def propose(self) -> Proposal | None:
-        """The variant to try next; None when no variant has been milder for some rounds."""
+        """Return the variant to try next.
+
+        Returns:
+            The variant; None after ``MAX_ROUNDS_WITHOUT_GAIN`` rounds in a row without a milder attack.
+        """
         while self._failed < MAX_ROUNDS_WITHOUT_GAIN:
             spread = next(self._spreads)
             variants = [varied(self.best, self._random, spread) for _ in range(VARIANTS_PER_ROUND)]
@@ -68,7 +94,16 @@ class Minimiser:
         return None
 
     def observe(self, tried: Proposal, level: Level, harshness: float) -> bool:
-        """Take note of an attempt; whether it is the mildest so far that reaches the level."""
+        """Learn from an attempt.
+
+        Args:
+            tried: The variant that was attempted.
+            level: The level that it reached.
+            harshness: Its harshness [m/s2].
+
+        Returns:
+            Whether it is the mildest so far that reaches the level.
+        """
         if level >= self._level and harshness < self.harshness:
             self.best, self.harshness, self._failed = tried, harshness, 0
             return True
@@ -76,12 +111,12 @@ class Minimiser:
         return False
 
     def _begun_elsewhen(self, p: Proposal) -> Proposal:
-        """Half of the variants keep their start; the others get any, and so do their supports."""
+        """Give half of the variants, with their supports, a random start; the others keep theirs."""
         delay = p.delay if self._random.random() < 0.5 else self._random.choice(self._starts)
         return replace(p, delay=delay, supports=tuple(replace(support, delay=delay) for support in p.supports))
 
     def _predicted(self, p: Proposal) -> float:
-        """The predicted harshness; infinite where the level is not reached."""
+        """Return the predicted harshness [m/s2]; infinite if the level is not predicted to be reached."""
         seen = p.prediction
         if seen is None or seen.failure or seen.level < self._level:
             return float("inf")
@@ -94,9 +129,23 @@ def minimise_episode(
 ) -> Run:  # fmt: skip
     """Repeat the encounter of a recorded attack, with the attack and milder variants. The mildest one counts.
 
-    settings: ``until`` is the level that a variant must reach, ``attempts`` the largest number of simulations.
+    Args:
+        run_input: The input of the recorded run.
+        settings: The run's settings. ``until`` is the level that a variant must reach, and ``attempts`` is the maximum
+            number of simulations.
+        task: What the engine is opened with.
+        engine: Simulates the attempts.
+        sandbox: Runs the planners.
+        proposal: The recorded attack.
+        skips: The number of encounters to pass over before that of the attack.
+        tell: Reports progress.
 
-    Raises UsageError: the attack does not reach the level when it is repeated, or the encounter does not come back.
+    Returns:
+        The run, in which the mildest attempt counts.
+
+    Raises:
+        UsageError: The run looked for a near miss, the attack does not reach the level when it is repeated, or the
+            encounter does not come back.
     """
     if settings.goal.ttc is not None:
         raise UsageError("The run looked for a near miss, which has no milder variants: minimise takes a collision.")
@@ -147,7 +196,7 @@ def minimise_episode(
 
 
 def _harshness(search: Minimiser, attempt: Attempt, result: AttemptResult, settings: Settings) -> float:
-    """The harshness [m/s2] of a simulated collision."""
+    """Return the harshness of a simulated collision [m/s2]."""
     verdict, p = attempt.verdict, attempt.proposal
     track = result.tracks(settings.step_length, p.bv)[p.bv]
     assert verdict.contact_time is not None and verdict.delta_v is not None
