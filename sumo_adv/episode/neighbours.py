@@ -1,8 +1,8 @@
-"""Neighbours of an attack: the same attack against an ego that arrives a little otherwise, or with other numbers.
+"""Neighbours of an attack: the same attack against an ego that arrives differently, or with other parameter values.
 
-A search can find a collision that only just happens. Neighbours that are simulated tell whether it holds (a robust
-optimum; Beyer and Sendhoff 2007, "Robust optimization"). They vary what a new version of the ego's driver varies: when
-the ego arrives and how fast. The adversary plans against the ego in each of them.
+A search can find a collision that only just happens. Neighbours that are simulated show whether it holds (a robust
+optimum; Beyer and Sendhoff 2007, "Robust optimization"). They vary what a new version of the ego's driver would vary:
+when the ego arrives, and how fast. In each neighbour, the adversary plans against the ego.
 """
 
 from __future__ import annotations
@@ -17,17 +17,22 @@ from sumo_adv.episode.task import AttemptResult
 from sumo_adv.goal import Goal
 from sumo_adv.search.sampling import moved
 
-EARLIER_S = 0.3  # by which the ego arrives earlier in one neighbour, and later in another
+EARLIER_S = 0.3  # s by which the ego arrives earlier in one neighbour, and later in another
 FASTER_SHARE = 0.05  # share by which the ego is faster in one neighbour, and slower in another
 OTHER_NUMBERS_NEIGHBOURS = 2  # neighbours with other parameter values
-NUMBER_SPREAD_SHARE = 0.05  # of a parameter's range by which its value differs at most
-MIN_NEIGHBOURS_HELD = 4  # neighbours of six in which a robust attack holds
-CLOCK_EASING_S = 1.0  # s over which the clock takes its new rate, so that the speed does not jump at the takeover
+NUMBER_SPREAD_SHARE = 0.05  # maximum change of a parameter's value, as a share of its range
+MIN_NEIGHBOURS_HELD = 4  # minimum number of six neighbours in which a robust attack holds
+CLOCK_EASING_S = 1.0  # s over which the clock reaches its new rate, so that the speed does not jump at the takeover
 
 
 @dataclass(frozen=True, slots=True)
 class Robustness:
-    """In how many neighbours an attack holds."""
+    """In how many neighbours an attack holds.
+
+    Attributes:
+        held: The number of neighbours in which it holds.
+        of: The number of neighbours that were simulated.
+    """
 
     held: int
     of: int
@@ -39,22 +44,27 @@ class Robustness:
 
 
 def holds(verdict: Verdict, goal: Goal) -> bool:
-    """Whether a neighbour comes to the same: it meets the goal, or is valid if the goal is a higher level."""
+    """Return whether an attack holds in a neighbour: it meets the goal, or is valid if the goal is a higher level.
+
+    Args:
+        verdict: The verdict on the neighbour.
+        goal: What an attempt must reach.
+    """
     return goal.met(verdict) or (goal.level > Level.VALID and verdict.level >= Level.VALID)
 
 
 def neighbours(
     attempt: Attempt, result: AttemptResult, random: Random, dt: float, *, displaces: bool
 ) -> list[Proposal]:
-    """The neighbours of an attempt that collided or came near.
+    """Return the neighbours of an attempt that collided or came near.
 
     Args:
         attempt: The attempt.
         result: What was recorded of it.
-        random: Draws the other numbers.
-        dt: Step of the simulation [s].
-        displaces: Whether the ego can be made to arrive otherwise. Else the adversary's recorded motion comes earlier
-            and later.
+        random: Draws the other parameter values.
+        dt: The step of the simulation [s].
+        displaces: Whether the ego can be made to arrive differently. Otherwise, the adversary's recorded motion comes
+            earlier and later if the attempt collided late enough.
     """
     p, contact = attempt.proposal, attempt.verdict.contact_time
 
@@ -78,7 +88,13 @@ def neighbours(
 
 
 def recorded_course(attempt: Attempt, result: AttemptResult, dt: float) -> PrescribedMotion:
-    """The adversary's motion from the takeover on, as recorded and as planned for after it."""
+    """Return the adversary's motion from the takeover on, as recorded and then as planned for the time after it.
+
+    Args:
+        attempt: The attempt.
+        result: What was recorded of it.
+        dt: The step of the simulation [s].
+    """
     bv = attempt.proposal.bv
     parts = [result.tracks(dt, bv)[bv].between(result.start + dt / 100, np.inf)]
     if bv in result.driven.beyond:
@@ -88,8 +104,15 @@ def recorded_course(attempt: Attempt, result: AttemptResult, dt: float) -> Presc
 
 
 def retimed(course: PrescribedMotion, rate: float, dt: float) -> PrescribedMotion:
-    """The same path with a clock of another ``rate`` (1: as it was), which it takes over ``CLOCK_EASING_S``. States are
-    ``dt`` [s] apart; where the recorded motion ends, the adversary goes on at its last speed."""
+    """Return a motion along the same path with a faster or slower clock.
+
+    Beyond the end of the motion, the adversary goes on at its last speed.
+
+    Args:
+        course: The motion, with states ``dt`` apart.
+        rate: The new rate of the clock, which is reached over ``CLOCK_EASING_S``; 1 keeps the motion [-].
+        dt: The step [s].
+    """
     times = dt * np.arange(1, len(course.x) + 1)
     eased = np.minimum(times, CLOCK_EASING_S)
     clock = times + (rate - 1.0) * (eased**2 / (2 * CLOCK_EASING_S) + times - eased)

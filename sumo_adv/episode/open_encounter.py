@@ -1,4 +1,4 @@
-"""An encounter at its trigger, in the engine process: attempts and reference drivers go on from there."""
+"""An encounter at its trigger, in the engine process: attempts and reference drivers start from there."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from sumo_adv.simulation.stored_snapshots import StoredSnapshots
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.situation import Situation
 
-ROOM_M = 60.0  # within which other vehicles may be in the way of an ego that arrives otherwise
+ROOM_M = 60.0  # m within which other vehicles may be in the way of an ego that arrives differently
 
 
 @dataclass(frozen=True, slots=True)
 class OpenEncounter:
-    """An encounter at its trigger, in the engine process. Each of ``attempt`` and ``avoids`` drives on from there.
+    """An encounter at its trigger, in the engine process. ``attempt`` and ``avoids`` each simulate on from the trigger.
 
     Attributes:
         drive: The simulation with the ego.
         found: The encounter.
         settings: The run's settings.
         road: The map.
-        trigger_step: How many snapshots the recording has at the trigger.
+        trigger_step: The number of recorded snapshots at the trigger.
         baseline_ego: The ego's motion without an attack.
     """
 
@@ -54,8 +54,11 @@ class OpenEncounter:
     def situation_for(self, proposal: Proposal) -> Situation:
         """Return the situation in which a proposal's attack begins.
 
+        Args:
+            proposal: The proposal.
+
         Raises:
-            SimulationError: If one of its adversaries cannot attack then.
+            SimulationError: One of its adversaries cannot attack then.
         """
         situation = self.found.situations.get(proposal.delay)
         for bv in proposal.bvs:
@@ -68,8 +71,11 @@ class OpenEncounter:
         """Drive an attempt and judge it.
 
         Args:
-            proposal: What attacks.
-            asks: Each asks the planner of one of the proposal's adversaries.
+            proposal: The candidate to attempt.
+            asks: For each of the proposal's adversaries, what asks its planner.
+
+        Returns:
+            The result.
         """
         drive = self.drive
         start = self._begin(proposal)
@@ -87,11 +93,11 @@ class OpenEncounter:
         """Return whether a reference driver avoids an attempt's collision in the loop.
 
         Args:
-            proposal: What attacks.
-            asks: Each asks the planner of one of the proposal's adversaries.
+            proposal: The candidate that was attempted.
+            asks: For each of the proposal's adversaries, what asks its planner.
             driver: The reference driver's name.
-            manoeuvre: The ego's motion if the driver is the manoeuvre, otherwise None.
-            lane_half_width: That of the ego's lane [m].
+            manoeuvre: The ego's motion if the driver is the manoeuvre; otherwise None.
+            lane_half_width: Half the width of the ego's lane [m].
         """
         drive, settings, tested = self.drive, self.settings, self.drive.controller
         assert drive.ego is not None
@@ -113,7 +119,15 @@ class OpenEncounter:
         return avoids(tracks, drive.ego, proposal.bv, start, lane_half_width)
 
     def case(self, proposal: Proposal, result: AttemptResult) -> Case | None:
-        """Return what the verdict on an attempt is based on; None if the ego or the collider left before it moved."""
+        """Return what the verdict on an attempt is based on.
+
+        Args:
+            proposal: The candidate that was attempted.
+            result: The result of the attempt.
+
+        Returns:
+            The case; None if the ego or the collider left before it moved.
+        """
         drive, settings = self.drive, self.settings
         first = first_judged(self.found, settings, self.trigger_step, result.start)
         snapshots = [*drive.recording.snapshots[: self.trigger_step], *result.snapshots][first:]
@@ -125,7 +139,7 @@ class OpenEncounter:
         )  # fmt: skip
 
     def _begin(self, proposal: Proposal) -> float:
-        """Go on to when a proposal's attack begins, and return that time [s]."""
+        """Simulate until a proposal's attack begins, and return that time [s]."""
         self.drive.replay(self.baseline_ego)
         for _ in range(self.settings.steps(proposal.delay)):
             self.drive.tick()
@@ -143,7 +157,7 @@ class OpenEncounter:
         return attack(drive, members, steps=steps, replan=replan, ego=ego)
 
     def _displaced(self, arrival: Arrival, situation: Situation) -> Pose:
-        """Where the ego is after a step if it arrives otherwise; nearer to its place if a vehicle is in the way."""
+        """Return the ego's pose after a step if it arrives differently; nearer to its place if a vehicle is there."""
         drive, dt = self.drive, self.settings.step_length
         assert drive.ego is not None
         ego, path = drive.state(drive.ego), situation.baseline.path

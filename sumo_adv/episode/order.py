@@ -1,6 +1,6 @@
-"""Which of several attempts is the better one.
+"""Order attempts by their quality.
 
-The search compares attempts by a finer number (``search/evolution.py:badness``), which also says how near a miss was.
+The search compares attempts by a finer number (``search/evolution.py:badness``), which also rates how near a miss was.
 """
 
 from __future__ import annotations
@@ -11,13 +11,17 @@ from sumo_adv.datatypes import Attempt, Level, Verdict
 from sumo_adv.episode.neighbours import Robustness
 from sumo_adv.goal import Goal
 
-FEASIBLE_MISS, INFEASIBLE_COLLISION, INFEASIBLE_MISS = 4.0, 5.0, 6.0  # behind feasible collisions, which have 0 to 3
+FEASIBLE_MISS, INFEASIBLE_COLLISION, INFEASIBLE_MISS = 4.0, 5.0, 6.0  # after feasible collisions, with 0 to 3
 
 
 def rank(verdict: Verdict) -> tuple[float, float]:
     """Return a key that sorts attempts, the best first.
 
-    Feasible collisions come first, by level; then feasible attempts by min TTC; then infeasible ones, collisions first.
+    Feasible collisions come first, by level. Then come feasible attempts by minimum TTC, and then infeasible attempts,
+    collisions first. A rear-end counts as infeasible.
+
+    Args:
+        verdict: The verdict on an attempt.
     """
     if verdict.collided:
         return (float(Level.SERIOUS - verdict.level), 0.0) if verdict.counts else (INFEASIBLE_COLLISION, 0.0)
@@ -25,7 +29,13 @@ def rank(verdict: Verdict) -> tuple[float, float]:
 
 
 def worth(attempt: Attempt, goal: Goal, *, asked: bool) -> tuple[float, ...]:
-    """Return a key that sorts attempts, the best first: successes, then those that fit what was ``asked`` for."""
+    """Return a key that sorts attempts, the best first: successes, then attempts that fit the request.
+
+    Args:
+        attempt: The attempt.
+        goal: What an attempt must reach.
+        asked: Whether an attack was requested. Then an attempt fits only if it meets the goal or is at least critical.
+    """
     verdict = attempt.verdict
     met = goal.met(verdict)
     fits = not verdict.misfits and (not asked or met or verdict.level >= Level.CRITICAL)
@@ -33,7 +43,17 @@ def worth(attempt: Attempt, goal: Goal, *, asked: bool) -> tuple[float, ...]:
 
 
 def best_index(attempts: Sequence[Attempt], goal: Goal, robust: Mapping[int, Robustness], *, asked: bool) -> int | None:
-    """Return the index of the best attempt, the most robust and then the first one of equals; None without attempts."""
+    """Return the index of the best attempt; of equals, the most robust one, then the first one.
+
+    Args:
+        attempts: The attempts.
+        goal: What an attempt must reach.
+        robust: By index of an attempt, in how many of its neighbours it holds.
+        asked: Whether an attack was requested.
+
+    Returns:
+        The index; None without attempts.
+    """
     if not attempts:
         return None
 

@@ -1,12 +1,12 @@
 """Reference drivers in the loop: would this driver have avoided the collision if the adversary had planned again?
 
-The attempt is driven once more from the trigger on. The user's driver drives until the reference driver's own alarm and
-reaction; from then on the reference driver brakes, and where it does not brake SUMO's driver goes on in the lane. It
-does not steer. The adversary plans again against what the ego now does, and other traffic reacts. The driver avoids the
-collision if the ego touches no vehicle but those that run into it from behind in its lane.
+The attempt is driven once more from the trigger on. The driver under test drives until the reference driver's own alarm
+and reaction. From then on, the reference driver brakes. While it does not brake, SUMO's driver continues in the lane.
+The reference driver does not steer. The adversary plans again against the ego's new motion, and other traffic reacts.
+The driver avoids the collision if the ego touches no vehicle except those that run into it from behind in its lane.
 
 The kinematic check (``metrics/reference/counterfactual.py``) repeats the adversary's motion. It is cheap and filters
-the attempts; a level is claimed for a driver that avoids the collision in both checks.
+the attempts. A level is claimed only if a driver avoids the collision in both checks.
 """
 
 from __future__ import annotations
@@ -30,11 +30,16 @@ from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.view import EgoPaths
 
 WARM_UP_S = 3.0
-"""Seconds before the attack that a reference driver looks at: longer than perception and reaction together (1.15 s)."""
+"""A reference driver sees this time before the attack [s]: longer than perception and reaction together (1.15 s)."""
 
 
 class ReferenceEgo:
-    """The ego's driver in the loop: the tested driver until the reference driver brakes, then the reference driver."""
+    """The ego's driver in the loop: the tested driver until the reference driver brakes, then the reference driver.
+
+    Attributes:
+        name: The name of the reference driver.
+        wishes: What the tested driver asks of the engine.
+    """
 
     needs_observation = True
     forkable = True
@@ -49,10 +54,10 @@ class ReferenceEgo:
         Args:
             tested: The driver under test, as it is when the attack begins.
             driver: The reference driver.
-            history: The recorded motions up to the start of the attack; the driver looks at them first.
+            history: The recorded motions up to the start of the attack. The reference driver sees them first.
             ego: The ego's id.
             take_over: Called when the reference driver first brakes.
-            log: The ego's motion where a log moves it; its own way and pace are followed while nothing brakes.
+            log: The ego's motion if a log moves it. The ego follows its path and pace while the driver does not brake.
         """
         self.name = driver.name
         self.wishes = wishes_of(tested)
@@ -65,10 +70,10 @@ class ReferenceEgo:
         self._acting = False
 
     def reset(self, seed: int) -> None:
-        """Does nothing: each run gets a new object."""
+        """Do nothing, because each run gets a new object."""
 
     def act(self, observation: Observation) -> Action:
-        """The tested driver's action until the reference driver first brakes; from then on the reference driver's."""
+        """Return the tested driver's action until the reference driver first brakes, then the reference driver's."""
         half = lane_half_width_of(observation)
         if self._watcher is None:
             self._watcher = Watcher(self._driver, observation.dt)
@@ -84,12 +89,12 @@ class ReferenceEgo:
         return None if math.isinf(target) else LaneSpeed(None, target)
 
     def _look_back(self, watcher: Watcher, observation: Observation, half: float) -> None:
-        """Show the driver the states before the start."""
+        """Show the driver the states before the start of the attack."""
         ego = self._history.pop(self._ego, None)
         if ego is None:
             return
         path = path_of(observation, np.stack([ego.x, ego.y], axis=1))
-        for k in range(len(ego.time) - 1):  # the last state is the present one
+        for k in range(len(ego.time) - 1):  # the last state is the present one, which ``act`` shows
             me, states = _state(ego, k), (state_at(t, float(ego.time[k])) for t in self._history.values())
             others = [state for state in states if state is not None and same_layer(me.z, state.z)]
             watcher.speed(me, others, path, half)
@@ -97,7 +102,7 @@ class ReferenceEgo:
 
 
 class PlannedEgo:
-    """An ego that drives poses given in advance, by step from the start of the attack on."""
+    """An ego that drives poses given in advance, one for each step from the start of the attack."""
 
     name = "manoeuvre"
     needs_observation = True
@@ -105,14 +110,18 @@ class PlannedEgo:
     sumo_type: Mapping[str, str] = {}
 
     def __init__(self, plan: Boxes) -> None:
-        """``plan``: arrays ``(steps,)``, the first pose is the present one."""
+        """Start at the first pose.
+
+        Args:
+            plan: The poses, arrays ``(steps,)``. The first one is the present pose.
+        """
         self._plan, self._step = plan, 0
 
     def reset(self, seed: int) -> None:
-        """Does nothing: each run gets a new object."""
+        """Do nothing, because each run gets a new object."""
 
     def act(self, observation: Observation) -> Pose:
-        """The next pose; after the last one straight on."""
+        """Return the next pose; after the last one, go straight on."""
         p, last = self._plan, self._plan.x.shape[-1] - 1
         self._step += 1
         k = min(self._step, last)
@@ -123,13 +132,17 @@ class PlannedEgo:
 
 
 def _following(log: Track) -> ReplayEgo:
+    """Return a driver that repeats a logged motion."""
     driver = ReplayEgo()
     driver.load(log)
     return driver
 
 
 def _braked_along(observation: Observation, log: Track, way: EgoPaths, target: float) -> Pose:
-    """The next pose on the way of a log: at ``target`` [m/s] or slower, else as the log's speed changes."""
+    """Return the next pose on the path of a log.
+
+    The speed changes as in the log, but is at most ``target`` [m/s] and does not rise above the log's speed.
+    """
     ego, dt = observation.ego, observation.dt
     now, pace = (float(v) for v in np.interp([observation.time, observation.time + dt], log.time, log.speed))
     after = min(max(min(ego.speed + pace - now, target), 0.0), max(pace, ego.speed))
@@ -140,12 +153,21 @@ def _braked_along(observation: Observation, log: Track, way: EgoPaths, target: f
 
 
 def state_at(track: Track, time: float) -> VehicleState | None:
-    """A track's state at a time [s] of its grid; None if it is not there."""
+    """Return the state of a track at a time.
+
+    Args:
+        track: The track.
+        time: A time of the track's grid [s].
+
+    Returns:
+        The state; None if the track has none at that time.
+    """
     k = int(np.searchsorted(track.time, time - 5e-4))
     return _state(track, k) if k < len(track.time) and abs(float(track.time[k]) - time) < 5e-4 else None
 
 
 def _state(t: Track, k: int) -> VehicleState:
+    """Return state ``k`` of a track."""
     x, y, heading, speed, acceleration = (float(v[k]) for v in (t.x, t.y, t.heading, t.speed, t.acceleration))
     z = float(np.broadcast_to(t.z, t.time.shape)[k])
     return VehicleState(t.id, x, y, heading, speed, acceleration, t.length, t.width, t.lane[k] if t.lane else "", z)
@@ -156,10 +178,11 @@ def manoeuvre_plan(case: Case, contact_time: float) -> Boxes | None:
 
     Args:
         case: The recorded attempt.
-        contact_time: Of the collision [s].
+        contact_time: The time of the collision [s].
 
     Returns:
-        Poses by step from the start of the attack on, arrays ``(steps,)``; None if no manoeuvre avoids the collision.
+        The pose at each step from the start of the attack, arrays ``(steps,)``; None if no manoeuvre avoids the
+        collision.
     """
     given = encounter_of(case, contact_time)
     check = Counterfactual(given)
@@ -179,7 +202,18 @@ def manoeuvre_plan(case: Case, contact_time: float) -> Boxes | None:
 
 
 def avoids(tracks: Sequence[Track], ego_id: str, adversary: str, start: float, lane_half_width: float) -> bool:
-    """Whether an ego touched no vehicle from ``start`` [s] on; vehicles that run into its back do not count."""
+    """Return whether an ego touched no vehicle; vehicles that run into it from behind in its lane do not count.
+
+    Args:
+        tracks: The recorded motions.
+        ego_id: The ego's id.
+        adversary: The collider's id.
+        start: The time from which contacts count [s].
+        lane_half_width: Half the width of the ego's lane [m].
+
+    Returns:
+        Whether the ego avoided all contacts. True if the ego or the adversary left before they met.
+    """
     named = {t.id: t for t in tracks}
     if ego_id not in named or adversary not in named:
         return True  # one of the two left the network before they met
