@@ -283,8 +283,7 @@ class OngoingAttempt:
         Args:
             drive: The simulation with the ego.
             adversaries: The controller of each adversary by id. An adversary with None goes straight on unless a
-                command
-                places it.
+                command places it.
             steps: The maximum number of steps.
             replan: The number of steps from one planning to the next.
         """

@@ -41,7 +41,7 @@ from sumo_adv.simulation.sumo_states import Snapshot, pose_of
 from sumo_adv.simulation.tracks import Recording, tracks_of
 from sumo_adv.simulation.watch import Call, OutOfTimeError, watched
 
-LIMITED_BY_M_S = 0.05  # a speed lower than requested by this was limited: more than rounding, less than any braking
+LIMITED_BY_M_S = 0.05  # a speed lower by more than this was limited: more than rounding, less than any braking
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class ActionCount:
 
 
 Observe = Callable[[VehicleState, Sequence[str]], Observation]
-OBSERVED_RADIUS_M = 120.0  # distance within which the ego's driver sees others
+OBSERVED_RADIUS_M = 120.0  # m within which the ego's driver sees other vehicles
 
 
 def ego_type_file(controller: EgoController, folder: Path, demand: Sequence[Path] = ()) -> Path:
@@ -450,7 +450,7 @@ class Drive:
     def place(self, road: RoadMap) -> LanePlace | None:
         """Return where the ego is on its route now.
 
-        SUMO gets the route back if it has replaced the route because the ego's driver left its lanes.
+        If SUMO has replaced the route because the ego's driver left its lanes, SUMO gets the route back.
 
         Args:
             road: The map.

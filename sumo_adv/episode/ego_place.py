@@ -19,10 +19,10 @@ from sumo_adv.simulation.network import NetworkLane, RoadMap
 from sumo_adv.simulation.simulation import Simulation
 
 LEFT_ROUTE_M = 20.0  # m; an ego that is farther from all lanes of its route has left it
-WINDOW_M = 100.0  # m of the route beyond the present edge within which the ego is searched
-LONGEST_STEP_M = 30.0  # m along the route; no step is longer, but the way to a later edge that runs beside may be
+WINDOW_M = 100.0  # m of the route beyond the present edge that is searched for the ego
+LONGEST_STEP_M = 30.0  # m along the route, more than any step; a near place beyond it is on a later part of the route
 ACROSS_RAD = 0.5  # rad; a vehicle that is turned farther from its lane's direction stands across
-BESIDE_M = 8.0  # m, about two lanes, within which a lane of the ego's direction is searched without a route
+BESIDE_M = 8.0  # m, about two lanes; without a route, a lane of the ego's direction is searched within it
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class LanePlace:
     Attributes:
         lane: The ego's lane.
         front: Distance along the centreline of the lane to the front bumper [m].
-        route: The edges from the present one on. On a junction, the present edge is the one before it.
+        route: The edges from the present one on. On a junction, the present edge is the one before the junction.
     """
 
     lane: NetworkLane
@@ -203,8 +203,7 @@ def front_on(lane: NetworkLane, vehicle: VehicleState, simulation: Simulation) -
     """Return the distance along a lane to a vehicle's front bumper [m].
 
     It is SUMO's value if SUMO has the vehicle on that lane and the vehicle does not stand across. Otherwise, it is half
-    a
-    length beyond the place on the lane that is nearest to the vehicle's centre.
+    a length beyond the place on the lane that is nearest to the vehicle's centre.
 
     Args:
         lane: The lane.
@@ -251,8 +250,9 @@ def against(lane: NetworkLane, vehicle: VehicleState) -> bool:
 def lane_on_route(road: RoadMap, vehicle: VehicleState, route: Sequence[str], vclass: str) -> NetworkLane | None:
     """Return the lane that a vehicle drives on along its route.
 
-    It is a lane of the route, or the vehicle's own way, near the vehicle if SUMO's lane is not on the route, leads the
-    other way, or is above or below the vehicle. Otherwise, or if no such lane is near, it is SUMO's lane.
+    It is SUMO's lane, unless that lane is not on the route, leads the other way, or is above or below the vehicle. In
+    that case, it is a lane of the route near the vehicle, if there is one. Without a known route, a lane in the
+    vehicle's direction replaces a lane that leads the other way.
 
     Args:
         road: The map.

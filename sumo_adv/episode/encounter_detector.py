@@ -31,8 +31,8 @@ LOOK_INTERVAL_S = 0.5  # s
 COOL_DOWN_S = 2.0  # s after an encounter that was passed over in which no other one begins
 NEAR_DISTANCE_M, ONCOMING_DISTANCE_M = 70.0, 320.0  # m; the latter holds ahead and for other headings
 WAY_AHEAD_M = 330.0  # m; length of the ways ahead
-MIN_EGO_SPEED_M_S = 4.0  # m/s; a slower ego has no encounter
-MIN_SAME_WAY_SPEED_M_S = 2.0  # m/s; a slower vehicle that drives the ego's way has no risk
+MIN_EGO_SPEED_M_S = 4.0  # m/s; a slower ego has no encounter, except in a recording
+MIN_SAME_WAY_SPEED_M_S = 2.0  # m/s; a slower vehicle on the ego's way has no risk, except in a recording
 MAX_START_ACCELERATION_M_S2 = 3.0  # m/s2; acceleration of a BV that hurries to a conflict
 MAX_LATER_ARRIVAL_S = 0.2  # s; how much later than the ego a BV may arrive at a conflict
 CONFLICT_TIMES_S = (1.5, 12.0)  # s from now until the ego is at the conflict
@@ -41,7 +41,7 @@ MIN_LOGGED_WAY_M = 1.0  # m; a shorter log shows no path
 BESIDE_OFFSET_M = 8.5  # m
 BEHIND_DISTANCE_M = 45.0  # m behind the ego, for vehicles on the ego's path
 AHEAD_DISTANCE_M = 60.0  # m ahead of the ego, for vehicles on its path
-FAR_AHEAD_DISTANCE_M = 100.0  # the same if no other vehicle is ranked
+FAR_AHEAD_DISTANCE_M = 100.0  # m; the same if no vehicle is ranked otherwise
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,7 @@ class EncounterSearch:
                 "departPos": str(route.position), "departSpeed": str(route.speed),
             }  # fmt: skip
             self.drive.simulation.add(INSERTED_EGO, route.edges, self.task.ego_base_type or "DEFAULT_VEHTYPE", depart)
-            if self.task.ego_base_type is None:  # SUMO would draw its factor of the limit
+            if self.task.ego_base_type is None:  # it has no factor of the limit, and SUMO would draw one
                 self.drive.simulation.set_speed_factor(INSERTED_EGO, 1.0)
 
     def leave(self, ranked: Collection[str]) -> None:

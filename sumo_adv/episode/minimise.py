@@ -30,7 +30,7 @@ from sumo_adv.search.sampling import Scorer, varied
 from sumo_adv.simulation.inputs import RunInput
 
 HARSHNESS_OF_DELTA_V_PER_S = 1.0  # 1/s; a delta-v of 1 m/s counts as an acceleration of 1 m/s2
-HARSHNESS_OF_EARLINESS_M_S3 = 0.2  # m/s3; for each second before the latest start: a later attack tells more
+HARSHNESS_OF_EARLINESS_M_S3 = 0.2  # m/s3; per second before the latest start: a later attack tells more of the ego
 VARIANTS_PER_ROUND = 120  # variants predicted in each round
 VARIANT_SPREADS = (0.3, 0.1, 0.03)  # standard deviations, as shares of a parameter's range; used in turn
 MAX_ROUNDS_WITHOUT_GAIN = 6  # rounds in a row without a milder attack after which the search ends

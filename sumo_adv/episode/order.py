@@ -11,7 +11,7 @@ from sumo_adv.datatypes import Attempt, Level, Verdict
 from sumo_adv.episode.neighbours import Robustness
 from sumo_adv.goal import Goal
 
-FEASIBLE_MISS, INFEASIBLE_COLLISION, INFEASIBLE_MISS = 4.0, 5.0, 6.0  # after feasible collisions, with 0 to 3
+FEASIBLE_MISS, INFEASIBLE_COLLISION, INFEASIBLE_MISS = 4.0, 5.0, 6.0  # after feasible collisions, which have 0 to 3
 
 
 def rank(verdict: Verdict) -> tuple[float, float]:

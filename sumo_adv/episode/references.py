@@ -94,7 +94,7 @@ class ReferenceEgo:
         if ego is None:
             return
         path = path_of(observation, np.stack([ego.x, ego.y], axis=1))
-        for k in range(len(ego.time) - 1):  # the last state is the present one, which ``act`` shows
+        for k in range(len(ego.time) - 1):  # the last state is the present one, shown by ``act``
             me, states = _state(ego, k), (state_at(t, float(ego.time[k])) for t in self._history.values())
             others = [state for state in states if state is not None and same_layer(me.z, state.z)]
             watcher.speed(me, others, path, half)
