@@ -1,9 +1,13 @@
-"""Online, retrieval-augmented generation of safety-critical scenarios inside SUMO.
+"""Generate safety-critical scenarios in SUMO, online, by retrieval-augmented generation.
 
-From Python: ``result = sumo_adv.run("priority_crossing")``, ``sumo_adv.load("runs/priority_crossing-0")`` (``api.py``),
-``campaign = sumo_adv.batch("plan.toml", out="campaigns/first")``, ``found = sumo_adv.hunt("motorway", minutes=30)``,
-``found = sumo_adv.crash_rate("straight_2lane", ego="idm")`` (``api_batch.py``; ``sumo_adv.rate`` is the package).
-A driver of your own needs ``Observation`` and the actions ``Steer``, ``Pose`` and ``LaneSpeed``.
+From Python:
+
+- ``sumo_adv.run("priority_crossing")`` attacks in one encounter. ``sumo_adv.load("runs/priority_crossing-0")`` reads a
+  run again (``api.py``).
+- ``sumo_adv.batch("plan.toml", out="campaigns/first")``, ``sumo_adv.hunt("motorway", minutes=30)`` and
+  ``sumo_adv.crash_rate("straight_2lane", ego="idm")`` make many runs (``api_batch.py``). ``sumo_adv.rate`` is
+  a package.
+- A driver of your own needs ``Observation`` and the actions ``Steer``, ``Pose`` and ``LaneSpeed``.
 """
 
 from __future__ import annotations
@@ -30,7 +34,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: the package itself loads nothing."""
+    """Import a public name when it is first used; importing the package itself loads nothing."""
     if name not in _HOMES:
         raise AttributeError(f"module 'sumo_adv' has no attribute '{name}'")
     return getattr(import_module(_HOMES[name]), name)

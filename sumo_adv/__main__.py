@@ -1,4 +1,7 @@
-"""``sumo-adv``, ``python -m sumo_adv``: can be interrupted from its first moment on, and only then loads the rest."""
+"""Start ``sumo-adv``, also as ``python -m sumo_adv``.
+
+An interrupt ends the program from its first moment on. Everything else is loaded after the handlers are in place.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from types import FrameType
 
 
 def main() -> None:
-    """The program. SIGTERM, which services and time limits send, is to all of it what Ctrl-C is."""
+    """Run the program. SIGTERM, which services and time limits send, has the effect of Ctrl-C."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _leave)
     from sumo_adv.cli.main import main as run
@@ -20,7 +23,10 @@ def main() -> None:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    """While modules are loaded there is nothing to clean up, and an exception could end as another one."""
+    """Report the interruption and exit at once.
+
+    Nothing needs to be cleaned up while modules are loaded. An exception could be replaced by another one there.
+    """
     os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, b"sumo-adv: interrupted.\n")
     os._exit(1)
 

@@ -1,6 +1,8 @@
-"""The program from Python: ``import sumo_adv; result = sumo_adv.run("priority_crossing", until="valid")``.
+"""Run ``sumo-adv run`` from a script or a notebook.
 
-What ``sumo-adv run`` does, with settings of the same names and in the same processes, from a script or a notebook.
+    result = sumo_adv.run("priority_crossing", until="valid")
+
+The settings have the names that the options have, and the work is done in the same processes.
 """
 
 from __future__ import annotations
@@ -27,16 +29,26 @@ if TYPE_CHECKING:
     from sumo_adv.report.export import Format, Variant
     from sumo_adv.report.run_outcome import Outcome
 
-NOTEBOOK_PAGE_HEIGHT_PX = 720  # pixels of a page inside a notebook
-TEXT_COLUMNS = ("id", "role", "lane")  # columns of tables that are text; all others are numbers
+NOTEBOOK_PAGE_HEIGHT_PX = 720  # height of a page inside a notebook
+TEXT_COLUMNS = ("id", "role", "lane")  # text columns of tables; all others are numbers
 Table = dict[str, NDArray[Any]]
-"""Columns by name, all of one length: what ``pandas.DataFrame`` takes."""
+"""Columns by name, all of the same length. ``pandas.DataFrame`` accepts it."""
 
 
 class Result:
-    """A run that has ended, as its folder tells it."""
+    """A finished run, read from its folder.
+
+    Attributes:
+        folder: The folder of the run.
+    """
 
     def __init__(self, folder: Path, keep: tempfile.TemporaryDirectory[str] | None = None) -> None:
+        """Refer to a run's folder. Files are read when an attribute needs them.
+
+        Args:
+            folder: The folder of the run.
+            keep: A temporary folder that is removed with this object; None if the run's folder stays.
+        """
         self.folder = folder
         self._keep = keep  # a temporary folder lives as long as this object
 
@@ -44,7 +56,8 @@ class Result:
     def outcome(self) -> Outcome:
         """The outcome of the run: ``outcome.ending``, ``.level``, ``.verdict.min_ttc``, ``.attempts`` and so on.
 
-        Raises UsageError: ``outcome.json`` is missing or damaged.
+        Raises:
+            UsageError: ``outcome.json`` is missing or damaged.
         """
         from sumo_adv.report.read import OUTCOME_FILE, read_run
         from sumo_adv.report.run_outcome import outcome_of
@@ -53,49 +66,71 @@ class Result:
 
     @cached_property
     def states(self) -> Table:
-        """The attempt that counts (the unattacked run if there was none), from the start of the simulation.
+        """The states of all vehicles in the attempt that counts, from the start of the simulation.
 
-        time [s]; id; role; x, y of the box's centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; length, width
-        [m]; lane; where roads have heights z, that of the road [m]. A row a vehicle and step, by time; no rows where no
-        encounter was met.
+        If there was no attempt, these are the states of the unattacked run. The table has one row per vehicle and step,
+        in order of time. It has no rows if no encounter was found. Its columns are time [s]; id; role; x, y of the
+        box's centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; length, width [m]; lane. If roads have
+        heights, z is the height of the road [m].
         """
         return _table(self.folder / "states.csv.gz")
 
     @cached_property
     def raw(self) -> Table:
-        """The same without the attack."""
+        """The states of all vehicles in the run without the attack, with the columns of ``states``."""
         return _table(self.folder / "raw.csv.gz")
 
     @cached_property
     def criticality(self) -> Table:
         """Measures between the ego and each vehicle near it over time, in the attempt that counts.
 
-        time [s]; id; ttc [s]; gap [m] between the boxes; drac [m/s2]; btn, the brake threat number; headway [s];
-        required_lateral [m/s2]; centre_distance [m]. Never, or no danger of that kind, is nan. No rows without an
-        attempt.
+        The columns are time [s]; id; ttc [s]; gap between the boxes [m]; drac [m/s2]; btn, the brake threat number;
+        headway [s]; required_lateral [m/s2]; centre_distance [m]. A value is nan if there is no danger of its kind. The
+        table has no rows if there was no attempt.
         """
         from sumo_adv.report.tables import SERIES_HEADER
 
         return _table(self.folder / "criticality.csv.gz", SERIES_HEADER)
 
     def plot(self) -> Figure:
-        """A figure of the encounter without and with the attack. Raises UsageError: no attempt was made."""
+        """Draw the encounter without and with the attack.
+
+        Returns:
+            The figure.
+
+        Raises:
+            UsageError: No attempt was made.
+        """
         from sumo_adv.report.figures import draw_paper, read_story
 
         return draw_paper(read_story(self.folder))
 
     def show(self, height: int = NOTEBOOK_PAGE_HEIGHT_PX) -> Shown:
-        """The replay page, inline where a notebook shows the last value of a cell. Raises UsageError."""
+        """Return the replay page, which a notebook shows inline as the last value of a cell.
+
+        Args:
+            height: The height of the page in the notebook [pixels].
+
+        Raises:
+            UsageError: The folder holds no run, or a file is damaged.
+        """
         from sumo_adv.report.page import make_page
 
         return Shown(make_page(self.folder), height)
 
     def export(self, out: str | Path, format: Format | str = "openscenario", variant: Variant | str = "replay") -> Path:
-        """Write the run for other tools; formats and files are those of ``sumo-adv export`` (docs/exports.md).
+        """Write the run for other tools, as ``sumo-adv export`` does (docs/exports.md).
 
-        ``all`` makes ``out`` a folder with each format that has its packages installed.
+        Args:
+            out: The file or folder to write. With ``all``, a folder for the exports.
+            format: The format; ``all`` writes each format whose packages are installed.
+            variant: The vehicles that an OpenSCENARIO file drives.
 
-        Raises UsageError: an unknown format, ``out`` is there already, or nothing to export.
+        Returns:
+            The path ``out``.
+
+        Raises:
+            UsageError: The format is unknown, ``out`` exists already, or there is nothing to export.
         """
         from sumo_adv.report.export import Format, Variant
         from sumo_adv.report.export.formats import FORMATS, chosen, write_export
@@ -118,7 +153,12 @@ class Result:
 
 
 class Shown:
-    """A page that notebooks display, in a frame that may do nothing but run its own script."""
+    """A page that notebooks display. Its frame may only run its own script.
+
+    Attributes:
+        page: The HTML of the page.
+        height: The height of the frame [pixels].
+    """
 
     def __init__(self, page: str, height: int) -> None:
         self.page, self.height = page, height
@@ -143,20 +183,25 @@ def run(
 ) -> Result:
     """Find the dangerous case in ``source`` and return the result, whether critical or not.
 
-    source: what ``sumo-adv run`` takes: a net.xml, a .sumocfg, a scenario, a record file or a shipped name.
-    out: the folder to write; else a temporary folder, removed with the result.
-    ego: the driver under test: a name as on the command line, or a class or an object of yours, which may be
-    defined in a script or a notebook. An object is copied: what it remembers stays in the engine's process. A run with
-    a class or an object given so cannot be replayed from its folder.
-    settings: those of ``sumo_adv.config.Settings``, options of ``sumo-adv run`` with ``_`` for ``-``: ``until``,
-    ``attempts``, ``intents``, ``exclude``, ``kind``, ``ttc`` (LOW, HIGH), ``min_delta_v``, ``seed`` ... None is not
-    given.
-    tell: called with what happens (``encounter``, ``intents``, ``attempt``) and its value.
     The user's memory bank is used and, unless ``learn="off"``, added to, as on the command line.
 
+    Args:
+        source: Any input of ``sumo-adv run``: a net.xml, a .sumocfg, a scenario, a record file or a shipped name.
+        ego: The driver under test: a name as on the command line, or your own class or object. It may be defined in a
+            script or a notebook. An object is copied, so what it remembers stays in the engine's process. A run with a
+            class or an object cannot be replayed from its folder.
+        out: The folder to write; None for a temporary folder that is removed with the result.
+        force: Whether an existing folder ``out`` is replaced.
+        record: The record to take from a file of several: its id, or its place from 0; None takes the first.
+        settings_file: A TOML file of settings.
+        tell: Called with each event (``encounter``, ``intents``, ``attempt``) and its value.
+        **settings: Fields of ``sumo_adv.config.Settings``, which are the options of ``sumo-adv run`` with ``_`` for
+            ``-``: ``until``, ``attempts``, ``intents``, ``exclude``, ``kind``, ``ttc`` (LOW, HIGH), ``min_delta_v``,
+            ``seed`` and so on. None means that the setting is not given.
+
     Raises:
-        UsageError: bad input or settings, or ``out`` is taken and ``force`` is not given.
-        BankError: the bank cannot be opened.
+        UsageError: The input or a setting is bad, or ``out`` exists and ``force`` is not given.
+        BankError: The bank cannot be opened.
     """
     from sumo_adv.app import load, play
     from sumo_adv.drivers.registry import pack_driver, trusted_driver
@@ -186,7 +231,11 @@ def run(
 
 
 def load(folder: str | Path) -> Result:
-    """The result in a run's folder. Raises UsageError: it is none."""
+    """Return the result in a run's folder.
+
+    Raises:
+        UsageError: The folder holds no result.
+    """
     result = Result(Path(folder))
     _ = result.outcome
     return result
@@ -202,17 +251,25 @@ def judge(
     lane_width: float = 3.2,
     on_road: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]] | None = None,
 ) -> Verdict:
-    """The verdict on tracks of your own.
+    """Return the verdict on your own tracks.
 
-    ego, adversary: columns by name (arrays, a dict of lists, a pandas table): time [s], x, y of the box's centre [m],
-    heading [rad], speed [m/s], optional length, width [m], lane and z, the height of the road [m]; or ids, and then
-    ``others`` is one table with the column ``id`` that holds all vehicles. others: further vehicles, a table each. All
-    on one regular grid; let the adversary's track go on past the contact as it planned, or the verdict is inconclusive
-    (``no_plan``). Reference drivers are asked in the kinematic check only.
-    trigger_time: from when on the adversary attacks [s]; the third state by default.
-    on_road: tells whether points (x, y) are drivable; without it no motion counts as off the road.
+    A track is a mapping of columns: arrays, a dict of lists or a pandas table. It needs time [s], x and y of the box's
+    centre [m], heading [rad] and speed [m/s]. It may have length and width [m], lane, and z, the height of the road
+    [m]. All tracks need one regular time grid. The adversary's track should continue past the contact as the adversary
+    planned to move; otherwise the verdict is inconclusive (``no_plan``). Reference drivers are simulated only in the
+    kinematic check.
 
-    Raises UsageError: a column is missing or bad, an id is not in the table, or the tracks do not overlap.
+    Args:
+        ego: The track of the ego, or its id in the table ``others``.
+        adversary: The track of the adversary; an id if ``ego`` is one.
+        others: The tracks of further vehicles. With ids, one table of all vehicles that has the column ``id``.
+        trigger_time: The time from which the adversary attacks [s]; None for the time of the ego's third state.
+        ttc: The minimum TTC up to which the attempt is critical [s].
+        lane_width: The width of a lane [m].
+        on_road: Returns whether points (x, y) [m] are drivable. Without it, no motion counts as off the road.
+
+    Raises:
+        UsageError: A column is missing or bad, an id is not in the table, or the tracks do not overlap.
     """
     from sumo_adv.metrics.case import Case
     from sumo_adv.metrics.own_data import columns_by_vehicle, track_of
@@ -240,7 +297,7 @@ def judge(
 
 
 def _table(file: Path, header: str | None = None) -> Table:
-    """The columns of a table of states, or of one with another ``header``, in its order."""
+    """Read the columns of a table of states, or of a table with another ``header``, in its order."""
     from sumo_adv.report.read import columns_of
 
     columns = columns_of(file) if header is None else columns_of(file, header)

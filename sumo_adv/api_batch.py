@@ -1,8 +1,9 @@
-"""Many runs from Python: batches, hunts, crash rates.
+"""Run batches, hunts and crash rates from Python.
 
-campaign = sumo_adv.batch("plan.toml", out="campaigns/first")
-found = sumo_adv.hunt("motorway", ego="my_package.driver:MyDriver", minutes=30)
-found = sumo_adv.crash_rate("straight_2lane", ego="idm", out="runs/rate-idm")
+Examples:
+    campaign = sumo_adv.batch("plan.toml", out="campaigns/first")
+    found = sumo_adv.hunt("motorway", ego="my_package.driver:MyDriver", minutes=30)
+    found = sumo_adv.crash_rate("straight_2lane", ego="idm", out="runs/rate-idm")
 """
 
 from __future__ import annotations
@@ -42,7 +43,14 @@ Finished = Callable[[Mapping[str, Any]], None]
 
 
 class Campaign:
-    """The folder of a batch, which may be unfinished. Raises UsageError: it is none."""
+    """A batch, finished or not, in its folder.
+
+    Attributes:
+        folder: The folder of the batch.
+
+    Raises:
+        UsageError: The folder is not that of a batch.
+    """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -52,21 +60,36 @@ class Campaign:
 
     @cached_property
     def table(self) -> Table:
-        """``results.csv``: columns by name, a row an episode, failed ones included. Raises UsageError: it is damaged.
+        """The columns of ``results.csv`` by name, with one row per episode, including failed ones.
 
-        Numbers are arrays of float (nan where nothing is said, as in ``min_ttc`` for never) or int; texts and truth
-        values are arrays of objects (None where nothing is said).
+        Numbers are arrays of float or int. A missing float is nan; ``min_ttc`` is nan if there never was a conflict.
+        Texts and truth values are arrays of objects; a missing one is None.
+
+        Raises:
+            UsageError: The file is damaged.
         """
         kinds = {**dict.fromkeys(NUMERIC_COLUMNS, np.float64), **dict.fromkeys(INTEGER_COLUMNS, np.int64)}
         columns = read_csv(self.folder / RESULTS_FILE)
         return {name: np.array(values, dtype=kinds.get(name, np.object_)) for name, values in columns.items()}
 
     def run(self, name: str) -> Result:
-        """The result of the episode of that id. Its attributes raise UsageError if the episode is packed."""
+        """Return the result of an episode.
+
+        Args:
+            name: The id of the episode.
+
+        Returns:
+            The result. Its attributes raise UsageError if the episode is packed.
+        """
         return Result(self.folder / RUNS_FOLDER / name)
 
     def coverage(self) -> Coverage:
-        """Encounters and failures by intent, relation, road class and speed. Raises UsageError or BankError."""
+        """Count encounters and failures by intent, relation, road class and speed.
+
+        Raises:
+            UsageError: The table or the plan of the batch is damaged.
+            BankError: The bank cannot be read.
+        """
         from sumo_adv.campaigns.store import packed_texts
         from sumo_adv.report.coverage import campaign_coverage
 
@@ -99,20 +122,38 @@ def batch(
     tell: Finished | None = None,
     **settings: Any,
 ) -> Campaign:
-    """Run inputs x egos x varied settings x seeds, as ``sumo-adv batch``. Episodes that are finished are kept.
+    """Run inputs x egos x varied settings x seeds, as ``sumo-adv batch`` does.
 
-    inputs: a plan's .toml, or networks, scenarios, records, folders and shipped names. egos: names of drivers
-    (``module:Class`` for a driver of yours), or classes that workers can import. vary: lists of values of
-    settings. odd: a file or its keys: attack only
-    within this operational design domain. states: write ``states.parquet`` as well. deadline: seconds after which an
-    episode is stuck. settings: of every episode, as for ``sumo_adv.run``; arguments replace what a plan says.
-    tell: called with the row of each episode that has finished.
+    Finished episodes are kept. Ctrl-C finishes the running episodes; the same call runs the rest later.
 
-    Ctrl-C finishes the episodes that run; the same call again does the rest.
+    Args:
+        inputs: A plan's .toml, or networks, scenarios, records, folders and shipped names.
+        out: The folder of the results.
+        egos: Names of drivers (``module:Class`` for your own), or classes that workers can import.
+        seeds: The number of seeds, from 0, or a list of seeds.
+        records: Ids or places of the records to take from .tfrecord files; empty for all.
+        vary: Lists of values of settings. Every combination is run.
+        odd: The file of an operational design domain, or its keys. Encounters outside the domain are not attacked.
+        learn: When the bank learns: ``off``, ``after`` or ``during``.
+        memory: The memory bank; None for the user's own.
+        figures: Whether ``encounter.png`` is drawn for each run.
+        parquet: Whether ``results.parquet`` is written as well.
+        states: Whether ``states.parquet`` is written as well.
+        workers: The number of processes; None for one per core.
+        deadline: The time after which an episode counts as stuck [s].
+        force: Whether the folder of another plan's results may be continued.
+        retry_failed: Whether failed episodes are run again.
+        settings_file: A TOML file of settings, which ``settings`` and those of the plan override.
+        tell: Called with the row of each episode that has finished.
+        **settings: Settings of every episode, as for ``sumo_adv.run``. Arguments override the plan.
+
+    Returns:
+        The batch, which is unfinished after Ctrl-C.
 
     Raises:
-        UsageError: bad input or settings, or the folder ``out`` holds another plan's results.
-        BankError: the bank cannot be opened. SumoAdvError: no episode can be run.
+        UsageError: The input or a setting is bad, or the folder ``out`` holds another plan's results.
+        BankError: The bank cannot be opened.
+        SumoAdvError: No episode can be run.
     """
     given = {
         "egos": [_ego_name(ego) for ego in egos] or None, "seeds": seeds,
@@ -130,9 +171,20 @@ def planned(
     inputs: str | Path | Sequence[str | Path], given: Mapping[str, Any], settings: Mapping[str, Any],
     odd: str | Path | Mapping[str, Any] | Odd | None = None, settings_file: str | Path | None = None,
 ) -> CampaignPlan:  # fmt: skip
-    """The plan in a file, or of ``inputs``; what is ``given`` (None = not given) and ``settings`` replace what it says.
+    """Make the plan of a batch.
 
-    Raises UsageError.
+    Args:
+        inputs: The file of a plan, or inputs.
+        given: Keys of a plan that override the file; None means that a key is not given.
+        settings: Settings that override those of the file.
+        odd: The operational design domain: a file, its keys, or the model; None for no domain.
+        settings_file: A TOML file of settings, which all other settings override.
+
+    Returns:
+        The plan.
+
+    Raises:
+        UsageError: The plan, an input or a setting is bad, or the domain is given twice.
     """
     from sumo_adv.campaigns.plan import is_plan, make_plan, read_plan
 
@@ -152,7 +204,7 @@ def planned(
 
 
 def _domain(odd: str | Path | Mapping[str, Any] | Odd | None) -> dict[str, Any]:
-    """The setting ``odd``; empty where none is given."""
+    """Return the setting ``odd``; empty if no domain is given."""
     if odd is None:
         return {}
     domain = read_odd(Path(odd)) if isinstance(odd, str | Path) else odd
@@ -167,7 +219,16 @@ def orders_of(
     recycle: int = EPISODES_PER_WORKER,
     **how: Any,
 ) -> Orders:
-    """How a plan is run; ``how``: the further fields of ``Orders``."""
+    """Return the orders for a plan.
+
+    Args:
+        plan: The plan.
+        out: The folder of the results.
+        workers: The number of processes; None for one per core.
+        deadline: The time after which an episode counts as stuck [s].
+        recycle: The number of episodes after which a worker is replaced.
+        **how: Further fields of ``Orders``.
+    """
     from sumo_adv.campaigns.campaign import Orders
     from sumo_adv.campaigns.local import WorkerPace
     from sumo_adv.report.outcome import versions
@@ -177,8 +238,12 @@ def orders_of(
 
 
 class Teller:
-    """Watches a batch, a hunt or an estimate, and calls the functions that it was given. ``total`` and ``done``
-    count episodes, or blocks of a phase."""
+    """Watches a batch, a hunt or an estimate, and calls the given functions.
+
+    Attributes:
+        total: The number of episodes, or of blocks of a phase.
+        done: The number that have finished.
+    """
 
     def __init__(
         self, finished: Callable[[Teller, Any, Any], None] | None, stopping: Callable[[bool], None] | None = None
@@ -195,13 +260,17 @@ class Teller:
             self._finished(self, job, row)
 
     def stopping(self, now: bool) -> None:
-        """Ctrl-C was pressed; where nothing is said, the caller sees it by what is missing."""
+        """Report that Ctrl-C was pressed. Without a function, callers notice it by the missing results."""
         if self._stopping is not None:
             self._stopping(now)
 
 
 def _ego_name(ego: str | type) -> str:
-    """The name of a driver. Raises UsageError: an object, a class that is no driver or that workers cannot import."""
+    """Return the name of a driver.
+
+    Raises:
+        UsageError: It is an object, not a driver, or a class that workers cannot import.
+    """
     from sumo_adv.drivers.registry import spec_of
 
     if isinstance(ego, str):
@@ -214,12 +283,18 @@ def _ego_name(ego: str | type) -> str:
 # -- hunts
 
 
-MAX_PAGES_AT_ONCE = 60  # replay pages that are made at once
+MAX_PAGES_AT_ONCE = 60  # replay pages made by one call
 
 
 @dataclass(frozen=True, repr=False)
 class HuntResult:
-    """What a hunt found. rows: a dictionary for each distinct failure, most serious first; index: the page of all."""
+    """The result of a hunt.
+
+    Attributes:
+        found: What the hunt found.
+        rows: A dictionary for each distinct failure, the most serious first.
+        index: The page of all failures; None if no page was made.
+    """
 
     found: Found
     rows: list[dict[str, Any]]
@@ -231,12 +306,12 @@ class HuntResult:
 
     @property
     def folder(self) -> Path:
-        """Of the hunt."""
+        """The folder of the hunt."""
         return self.found.folder
 
     @property
     def table(self) -> Table:
-        """Columns by name, a row for each distinct failure: ``pandas.DataFrame(result.table)``."""
+        """Columns by name, with one row per distinct failure: ``pandas.DataFrame(result.table)``."""
         from sumo_adv.hunting.failures import FAILURE_COLUMNS
 
         return {name: np.array([row[name] for row in self.rows]) for name in FAILURE_COLUMNS}
@@ -262,20 +337,40 @@ def hunt(
     note: Callable[[str], None] | None = None,
     **settings: Any,
 ) -> HuntResult:
-    """The worst distinct failures that ``minutes`` are enough for, as ``sumo-adv hunt``. The same call again goes on.
+    """Find the worst distinct failures of a driver within ``minutes``, as ``sumo-adv hunt`` does.
 
-    inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. ego: the name of a driver, or a
-    class that workers can import. distinct: end sooner with this many failures.
-    until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful); if it
-    is given, only collisions of this level or a higher one are failures.
-    cover: give time to the named scenarios that were met least, otherwise to inputs that bring new failures.
-    deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called as
-    episodes end. stopping: called when Ctrl-C is pressed, with True if it is pressed again. note: called at the start
-    with each sentence on what of the inputs is not kept, as options of a .sumocfg.
+    The same call continues the hunt.
+
+    Args:
+        inputs: Networks, .sumocfg files, scenarios, records, folders and shipped names.
+        ego: The name of a driver, or a class that workers can import; None for the driver of each input.
+        minutes: The time of the whole hunt, over all calls [min].
+        distinct: The number of distinct failures at which the hunt ends early; None for no limit.
+        out: The folder of the hunt.
+        seed: The first seed of traffic and search.
+        memory: The memory bank, which is only read; None for the user's own.
+        workers: The number of processes; None for one per core.
+        deadline: The time after which an episode counts as stuck [s].
+        ray: The address of a Ray cluster; None for this machine.
+        cover: Whether time goes to the named scenarios that were met least, instead of to inputs that bring new
+            failures.
+        settings_file: A TOML file of settings.
+        pages: Whether an index page with replays is made.
+        tell: Called as episodes end.
+        stopping: Called when Ctrl-C is pressed, with True if it is pressed again.
+        note: Called at the start with a sentence for each part of the inputs that is not kept, such as an option of a
+            .sumocfg.
+        **settings: Settings of every encounter, as for ``sumo_adv.run``. An encounter ends at the level ``until``, by
+            default ``serious``, or ``valid`` for the ego careful. If ``until`` is given, only collisions of this level
+            or a higher one are failures.
+
+    Returns:
+        The failures and the page.
 
     Raises:
-        UsageError: bad input or settings, or the folder ``out`` holds something else.
-        BankError: the bank cannot be opened. SumoAdvError: no episode can be run.
+        UsageError: The input or a setting is bad, or the folder ``out`` holds something else.
+        BankError: The bank cannot be opened.
+        SumoAdvError: No episode can be run.
     """
     from sumo_adv.campaigns.local import Crew
     from sumo_adv.campaigns.plan import make_plan
@@ -309,7 +404,7 @@ def hunt(
 
 
 def _index(found: Found, workers: int) -> Path:
-    """The page of all failures, with a picture and a replay of each."""
+    """Make the page of all failures, with a picture and a replay of each, and return its path."""
     from sumo_adv.report.coverage import campaign_coverage, write_coverage
     from sumo_adv.report.index import Packs, table_of, write_report
 
@@ -349,20 +444,35 @@ def crash_rate(
     ego_parameters: Mapping[str, Any] | None = None,
     tell: TellProgress | None = None,
 ) -> RateEstimate | None:
-    """Estimate how often the ego crashes in normal traffic, as ``sumo-adv rate``; None if Ctrl-C stopped it.
+    """Estimate how often the ego crashes in normal traffic, as ``sumo-adv rate`` does.
 
-    source: a net.xml, a .sumocfg, a scenario or a shipped name; not a recording. ego: the name of a driver
-    (``module:Class`` for a driver of yours), None = as the input says, else idm. runs: that are estimated from; pilot:
-    those before, from which the proposal learns; plain: draw all runs from the model. duration, warm_up [s]: of a run.
-    density: departures a minute of generated traffic. errors: factor on the rates of all human errors. out: the folder
-    of runs, where the same call again goes on; None = a temporary one. ray: address of a Ray cluster. tell: called with
-    the phase (``pilot``, ``runs``, ``plain``), and how many of how many blocks of 20 runs are finished.
+    Args:
+        source: A net.xml, a .sumocfg, a scenario or a shipped name, but not a recording.
+        ego: The name of a driver (``module:Class`` for your own); None for the driver of the input, or idm if it names
+            none.
+        runs: The number of runs that the estimate uses.
+        pilot: The number of pilot runs, from which the proposal distribution is learned.
+        plain: Whether all runs are drawn from the model (plain Monte Carlo).
+        seed: The seed of traffic and errors.
+        duration: The longest time that the ego drives in a run [s].
+        warm_up: The time that generated traffic runs before the ego enters [s].
+        density: Departures per minute of generated traffic; None for the default of the input.
+        errors: The factor on the rates of all human errors.
+        out: The folder of the runs, in which the same call continues; None for a temporary folder.
+        workers: The number of processes; None for one per core.
+        ray: The address of a Ray cluster; None for this machine.
+        ego_parameters: Parameters of the driver.
+        tell: Called with the phase (``pilot``, ``runs`` or ``plain``), the number of finished blocks of 20 runs, and
+            the number of all blocks of the phase.
 
-    The result: ``found.per_hour["collision"].value``, ``.low``, ``.high``, ``.half_width``; so too ``per_km``, and the
-    levels ``contact``, ``valid``, ``strict``, ``serious``. ``found.document()`` is what ``rate.json`` holds.
+    Returns:
+        The estimate; None if Ctrl-C stopped it. ``found.per_hour["collision"]`` has ``.value``, ``.low``, ``.high`` and
+            ``.half_width``. ``found.per_km`` is built alike. The other levels are ``contact``, ``valid``, ``strict``
+            and ``serious``. ``found.document()`` is the content of ``rate.json``.
 
     Raises:
-        UsageError: bad input, or ``out`` holds runs of another estimate. SimulationError: a run failed twice.
+        UsageError: The input is bad, or ``out`` holds the runs of another estimate.
+        SimulationError: A run failed twice.
     """
     from sumo_adv.rate.blocks import RatePlan
 

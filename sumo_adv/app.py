@@ -1,8 +1,8 @@
-"""Composition: builds an episode, and the parts of a batch and of a benchmark, from settings.
+"""Build an episode, and the parts of a batch and of a benchmark, from settings.
 
-The commands and the Python interface call these functions. Imports stand inside the functions, so that a command loads
-only what it needs. The functions of ``batch_parts`` and ``bench_parts`` go to other processes, which import them by
-name.
+The commands and the Python interface call these functions. Functions import what they use when they are called, so that
+a command loads only what it needs. The functions of ``batch_parts`` and ``bench_parts`` are sent to other processes,
+which import them by name.
 """
 
 from __future__ import annotations
@@ -51,10 +51,17 @@ if TYPE_CHECKING:
 
 
 def load(path: Path, record: str | None) -> RunInput:
-    """The input at ``path``. A Waymo record or a CommonRoad scenario is converted, or taken from the cache.
+    """Load an input. A Waymo record or a CommonRoad scenario is converted, or taken from the cache.
 
-    record: the id, or the place from 0, of the record to take from such a file (default: the first).
-    Raises SumoAdvError for what cannot be read or converted.
+    Args:
+        path: The path or the shipped name of the input.
+        record: The record to take from a TFRecord file: its id, or its place from 0; None takes the first.
+
+    Returns:
+        The input.
+
+    Raises:
+        SumoAdvError: The input cannot be read or converted.
     """
     from sumo_adv.simulation.inputs import WaymoSource, is_commonroad, load_input
 
@@ -81,16 +88,24 @@ def load(path: Path, record: str | None) -> RunInput:
 
 
 def shipped_bank() -> Path:
-    """The bank of the paper's seven intents that comes with the program."""
+    """Return the path of the bank that comes with the program, with the paper's seven intents."""
     from sumo_adv.simulation.inputs import data_folder
 
     return data_folder("memory_bank.sqlite")
 
 
 def open_bank(path: Path | None, *, make: bool = False) -> MemoryBank:
-    """The bank at ``path``, by default the user's own. The user's own bank starts as a copy of the shipped one.
+    """Open a memory bank. The user's own bank starts as a copy of the shipped one.
 
-    make: make the bank at ``path`` in the same way if it does not exist. Raises BankError.
+    Args:
+        path: The bank; None for the user's own.
+        make: Whether a missing bank at ``path`` is made as a copy of the shipped one, too.
+
+    Returns:
+        The open bank.
+
+    Raises:
+        BankError: The bank does not exist or cannot be opened.
     """
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.store import default_bank_path
@@ -101,8 +116,14 @@ def open_bank(path: Path | None, *, make: bool = False) -> MemoryBank:
 
 
 def known_intents(bank: MemoryBank) -> list[LibraryEntry]:
-    """The intents that a run may name, without planners: the bank's, those of pedestrians and cyclists, and those that
-    the built-in expert composes."""
+    """List the intents that a run may name, without planners.
+
+    Args:
+        bank: The bank.
+
+    Returns:
+        The bank's active intents, those of pedestrians and cyclists, and those that the built-in expert composes.
+    """
     from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.episode.memory_access import unprotected_library
     from sumo_adv.search.intents import NEW_INTENTS
@@ -115,15 +136,23 @@ def known_intents(bank: MemoryBank) -> list[LibraryEntry]:
 
 
 def open_for_run(settings: Settings) -> MemoryBank:
-    """The bank of a run's settings; made from the shipped bank if it does not exist. Raises BankError."""
+    """Open the bank of a run's settings. A missing bank is made from the shipped one.
+
+    Raises:
+        BankError: The bank cannot be opened.
+    """
     return open_bank(settings.memory, make=True)
 
 
 def check_intents(variants: Sequence[Mapping[str, Any]], bank: Path) -> None:
-    """Check that the intents which settings name are known to the bank, before any episode runs.
+    """Check that the bank knows the intents that settings name, before any episode runs.
 
-    variants: settings as data. A bank that does not exist will be made from the shipped one.
-    Raises UsageError with the known intents.
+    Args:
+        variants: Settings as data.
+        bank: The path of the bank. If it does not exist yet, the shipped bank is checked, which it will be made from.
+
+    Raises:
+        UsageError: An intent is unknown. The message lists the known ones.
     """
     from sumo_adv.config import load_settings
     from sumo_adv.episode.memory_access import selected
@@ -140,7 +169,7 @@ def check_intents(variants: Sequence[Mapping[str, Any]], bank: Path) -> None:
 
 
 def new_sandbox(settings: Settings) -> Sandbox:
-    """The sandbox in which planners run."""
+    """Make the sandbox in which planners run."""
     from sumo_adv.planners.sandbox import Sandbox
 
     return Sandbox(bubblewrap=settings.bubblewrap)
@@ -148,7 +177,20 @@ def new_sandbox(settings: Settings) -> Sandbox:
 
 @contextmanager
 def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None) -> Iterator[Agents]:
-    """The agents; every exchange with their models is written to the file ``record``. Raises UsageError."""
+    """Open the agents of a run.
+
+    Args:
+        settings: The settings of the run.
+        sandbox: Where planners are tried.
+        record: The file to which every exchange with a model is written; None for no file.
+
+    Yields:
+        The agents.
+
+    Raises:
+        UsageError: A model has no server or no key.
+        ModelError: The file cannot be written.
+    """
     from sumo_adv.agents.agents import AGENT_ROLES, Agents
     from sumo_adv.llm.chat import Ledger
 
@@ -170,7 +212,7 @@ def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None
 
 
 def shipped_prompts() -> Prompts:
-    """The prompts that come with the program."""
+    """Return the prompts that come with the program."""
     from sumo_adv.llm.prompts import Prompts
     from sumo_adv.simulation.inputs import data_folder
 
@@ -191,15 +233,24 @@ def play(
 ) -> Run:
     """Run one episode.
 
-    stage: the folder in which the models' answers are recorded; scratch: the folder for generated demand, which the
-    episode needs until it is written; played: called when the episode ends, before its processes end. ego: the driver
-    where it is a class or an object from Python.
+    Args:
+        run_input: The input.
+        settings: The settings of the run.
+        stage: The folder in which the models' answers are recorded.
+        scratch: The folder for generated demand. The episode needs it until it is written.
+        tell: Called with each event and its value.
+        played: Called when the episode ends, before its processes end.
+        ego: The driver if it is a class or an object from Python, otherwise None.
 
-    Raises UsageError or BankError for wrong use, also for ``ask`` without a model. Any other failure is the episode's
-    ending.
+    Returns:
+        The run. A failure other than wrong use is its ending.
+
+    Raises:
+        UsageError: A setting does not fit the input, or ``ask`` is set without a model.
+        BankError: The bank cannot be opened.
     """
     settings = _with_request(settings)
-    with new_engine() as engine:  # first: it loads its modules while this process loads others
+    with new_engine() as engine:  # first, because it loads its modules while this process loads others
         from sumo_adv.episode.clock import PartsClock
         from sumo_adv.episode.loop import run_episode
         from sumo_adv.episode.task import make_task
@@ -222,7 +273,11 @@ def play(
 
 
 def _with_request(settings: Settings) -> Settings:
-    """The settings with the words of ``ask`` checked. Raises UsageError, also where no model can read them."""
+    """Check the words of ``ask`` and return the settings with them.
+
+    Raises:
+        UsageError: The words are bad, or there is no model that can read them.
+    """
     if settings.ask is None:
         return settings
     from sumo_adv.words.request import checked_words, needs_model
@@ -244,7 +299,19 @@ def replay(recorded: RecordedRun) -> Run:
 
 
 def minimise(recorded: RecordedRun, settings: Settings, tell: Callable[[str, Any], None]) -> Run:
-    """Make the attack that a manifest records as mild as the level ``settings.until`` allows. Raises UsageError."""
+    """Make a recorded attack as mild as the level ``settings.until`` allows.
+
+    Args:
+        recorded: The run, as its manifest records it.
+        settings: The settings of the search for milder variants.
+        tell: Called with each event and its value.
+
+    Returns:
+        The run with the mildest variant.
+
+    Raises:
+        UsageError: The attack cannot be minimised.
+    """
     from sumo_adv.episode.minimise import minimise_episode
 
     task = replace(recorded.task, settings=settings)
@@ -257,10 +324,20 @@ def minimise(recorded: RecordedRun, settings: Settings, tell: Callable[[str, Any
 def check_driver(
     inputs: Sequence[RunInput] | None, settings: Settings, tell: Callable[[Checked], None], seconds: float | None = None
 ) -> DriverCheck:
-    """Drive ``settings.ego`` unattacked through the inputs (default: the twelve of ``driver_check``).
+    """Drive ``settings.ego`` unattacked through inputs and report its faults.
 
-    tell: called with each scenario as soon as it is done. seconds: how long each is driven [s].
-    Raises UsageError or SimulationError.
+    Args:
+        inputs: The inputs; None for the twelve of ``driver_check``.
+        settings: The settings, which name the driver.
+        tell: Called with each scenario as soon as it is done.
+        seconds: The time that each input is driven [s]; None for ``DRIVE_DURATION_S``.
+
+    Returns:
+        The findings.
+
+    Raises:
+        UsageError: The driver cannot be made, or an input is a recording.
+        SimulationError: SUMO does not start, or the driver ended the process.
     """
     from sumo_adv.driver_check.check import DRIVE_DURATION_S, check_driver, twelve
     from sumo_adv.driver_check.drive import CheckWorker
@@ -275,8 +352,20 @@ def check_driver(
 
 
 def check_input(run_input: RunInput, settings: Settings, seconds: float) -> InputCheck:
-    """Compare an input's traffic without an attack with the program ``sumo`` over ``seconds`` [s], and count what was
-    read of it. Raises UsageError or SimulationError."""
+    """Compare an input's traffic without an attack with the program ``sumo``, and count what was read of the input.
+
+    Args:
+        run_input: The input.
+        settings: The settings of a run.
+        seconds: The simulated time to compare [s].
+
+    Returns:
+        The comparison and the counts.
+
+    Raises:
+        UsageError: The input is bad.
+        SimulationError: SUMO fails.
+    """
     from sumo_adv.input_check import WatchWorker, check_input
     from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.processes import deferred_interrupts
@@ -287,11 +376,12 @@ def check_input(run_input: RunInput, settings: Settings, seconds: float) -> Inpu
         return check_input(engine, run_input, settings, Path(scratch), seconds)
 
 
-_idle: list[tuple[WarmEngine, Finalize]] = []  # with what ends it where this process ends before
-_of_parents: list[tuple[WarmEngine, Finalize]] = []  # in a fork of a user's process: neither used nor ended
+_idle: list[tuple[WarmEngine, Finalize]] = []  # engines that wait for the next run, and what closes them at exit
+_of_parents: list[tuple[WarmEngine, Finalize]] = []  # in a fork of a user's process: neither used nor closed
 
 
 def _leave_to_parent() -> None:
+    """Keep the engines of the parent process from being used or closed in a fork."""
     _of_parents.extend(_idle)
     _idle.clear()
 
@@ -302,8 +392,11 @@ if hasattr(os, "register_at_fork"):
 
 @contextmanager
 def new_engine() -> Iterator[EpisodeEngine]:
-    """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts. It stays
-    for the next run of this process, which so begins a second sooner."""
+    """Open an engine process for an episode.
+
+    The process does not run the user's script again, and Ctrl-C does not reach it while it starts. It is kept for the
+    next run of this process, which then begins a second sooner.
+    """
     from multiprocessing.util import Finalize
 
     from sumo_adv.episode.warm import WarmEngine
@@ -320,7 +413,7 @@ def new_engine() -> Iterator[EpisodeEngine]:
         with _without_main(), deferred_interrupts():
             engine = stack.enter_context(warm.episode())
         yield engine
-    if _idle:  # that of a run beside this one
+    if _idle:  # another run ended while this one had its engine
         warm.close()
     else:
         _idle.append((warm, Finalize(None, warm.close, exitpriority=1)))
@@ -330,8 +423,8 @@ def new_engine() -> Iterator[EpisodeEngine]:
 def _without_main() -> Iterator[None]:
     """Start processes that do not import the main module.
 
-    A spawned process imports the main module unless that has no file. Without that import scripts need no guard
-    (``if __name__ == "__main__"``), and notebooks need no file.
+    A spawned process imports the main module if that has a file. Without that import, scripts need no guard (``if
+    __name__ == "__main__"``).
     """
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -345,7 +438,7 @@ def _without_main() -> Iterator[None]:
 
 
 def batch_parts() -> CampaignParts:
-    """The functions that a batch's workers need."""
+    """Return the functions that a batch's workers need."""
     from sumo_adv.campaigns.results import CampaignParts
     from sumo_adv.report.folder import write_run
     from sumo_adv.report.outcome import MODEL_FILE
@@ -355,9 +448,21 @@ def batch_parts() -> CampaignParts:
 
 
 def run_campaign(plan: CampaignPlan, orders: Orders, watcher: CampaignWatcher, *, states: bool = False) -> Summary:
-    """Run what is missing of a batch's plan, and write its table; with ``states`` also ``states.parquet``.
+    """Run the missing episodes of a batch's plan and write its table. The workers do not run the user's script again.
 
-    The workers do not run the user's script again. Raises UsageError, BankError or SumoAdvError.
+    Args:
+        plan: The plan.
+        orders: How it is run.
+        watcher: Is told about the episodes.
+        states: Whether ``states.parquet`` is written as well.
+
+    Returns:
+        The summary of the batch.
+
+    Raises:
+        UsageError: The folder holds another plan's results, or a package is missing.
+        BankError: The bank cannot be opened.
+        SumoAdvError: No episode can be run.
     """
     from sumo_adv.campaigns.campaign import run_batch
     from sumo_adv.campaigns.results import check_parquet
@@ -373,7 +478,11 @@ def run_campaign(plan: CampaignPlan, orders: Orders, watcher: CampaignWatcher, *
 
 
 def cluster_processors(address: str) -> int:
-    """The processors of the Ray cluster at ``address``. Raises UsageError."""
+    """Count the processors of a Ray cluster.
+
+    Raises:
+        UsageError: The cluster cannot be reached.
+    """
     from sumo_adv.campaigns.ray_pool import processors_of
 
     with _without_main():
@@ -381,7 +490,7 @@ def cluster_processors(address: str) -> int:
 
 
 def _write_states(folder: Path, names: Sequence[str]) -> None:
-    """Write ``states.parquet`` of a batch; packed runs are unpacked for it, one at a time."""
+    """Write ``states.parquet`` of a batch; unpack packed runs for it, one at a time."""
     from sumo_adv.files import sentences
     from sumo_adv.report.read import write_states_parquet
 
@@ -395,7 +504,19 @@ def _write_states(folder: Path, names: Sequence[str]) -> None:
 
 
 def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
-    """Packed runs of a batch, each in a folder that is there until the next one. Raises UsageError or SumoAdvError."""
+    """Unpack runs of a batch, one at a time.
+
+    Args:
+        folder: The folder of the batch.
+        names: The ids of the packed runs.
+
+    Yields:
+        The folder of a run, which exists until the next one is taken.
+
+    Raises:
+        UsageError: There is no such run.
+        SumoAdvError: A run cannot be unpacked.
+    """
     from sumo_adv.campaigns.store import unpack_runs
     from sumo_adv.report.staging import staged
 
@@ -407,8 +528,23 @@ def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
 def estimate_rate(
     plan: RatePlan, out: Path, runs: int, workers: int | None, watcher: CampaignWatcher, ray: str | None
 ) -> RateEstimate | None:
-    """Estimate a crash rate in the folder ``out``; None if it was stopped. The workers do not run the user's script
-    again. workers: None = one a core; ray: address of a Ray cluster. Raises UsageError or SimulationError."""
+    """Estimate a crash rate. The workers do not run the user's script again.
+
+    Args:
+        plan: The plan of the estimate.
+        out: The folder of the runs.
+        runs: The number of runs that the estimate uses.
+        workers: The number of processes; None for one per core.
+        watcher: Is told about the blocks of runs.
+        ray: The address of a Ray cluster; None for this machine.
+
+    Returns:
+        The estimate; None if it was stopped.
+
+    Raises:
+        UsageError: The input is bad, or the folder holds the runs of another estimate.
+        SimulationError: A run failed twice.
+    """
     from sumo_adv.rate.estimate import Estimation
 
     with _without_main():
@@ -416,9 +552,16 @@ def estimate_rate(
 
 
 def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:
-    """For each Waymo record in a file its id and the hash of its content, or a sentence on what is wrong with it.
+    """Identify the Waymo records in a file.
 
-    Raises UsageError.
+    Args:
+        path: The TFRecord file.
+
+    Yields:
+        The id and the hash of the content of each record; for a bad record a sentence on what is wrong with it.
+
+    Raises:
+        UsageError: The file cannot be read.
     """
     from sumo_adv.womd.reader import read_records
 
@@ -431,7 +574,7 @@ def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:
 
 
 def bench_parts() -> BenchParts:
-    """The functions that a benchmark's workers need."""
+    """Return the functions that a benchmark's workers need."""
     from sumo_adv.benchmark.jobs import BenchParts
 
     return BenchParts(load, open_agents, full_outcome, keep_run, draw_example)
@@ -447,7 +590,16 @@ def full_outcome(run: Run) -> dict[str, Any]:
 
 
 def keep_run(target: Path, run: Run, exchanges: Path | None = None) -> None:
-    """Write the whole folder of a run, with the file of a model's ``exchanges``. Raises UsageError."""
+    """Write the whole folder of a run.
+
+    Args:
+        target: The folder; an existing one is replaced.
+        run: The run.
+        exchanges: The file of the exchanges with a model, which is copied; None for no file.
+
+    Raises:
+        UsageError: The folder cannot be written.
+    """
     from sumo_adv.report.folder import write_run
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.report.staging import staged
@@ -460,7 +612,15 @@ def keep_run(target: Path, run: Run, exchanges: Path | None = None) -> None:
 
 
 def draw_example(target: Path, run: Run) -> None:
-    """Draw the encounter without and with the attack, as ``figure`` does. Raises UsageError."""
+    """Draw the encounter without and with the attack, as ``sumo-adv figure`` does.
+
+    Args:
+        target: The PNG file to write.
+        run: The run.
+
+    Raises:
+        UsageError: The run made no attempt, or the file cannot be written.
+    """
     from sumo_adv.files import sentences
     from sumo_adv.report.figures import draw_paper, read_story, save
     from sumo_adv.report.folder import write_run

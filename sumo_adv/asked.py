@@ -1,6 +1,6 @@
-"""The attack that was asked for: what must be true of it, so that a run can tell whether an attempt fits.
+"""Describe the attack that was requested, so that a run can tell whether an attempt fits.
 
-It stands in a scenario file as the table ``[asked]``, written by ``sumo-adv write``, and is what a language model makes
+The description is the table ``[asked]`` of a scenario file that ``sumo-adv write`` made, or a language model's reading
 of the words of ``sumo-adv run --ask``. ``words/fit.py`` compares it with the motion of an attempt.
 """
 
@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from sumo_adv.datatypes import Relation
 from sumo_adv.road_users import RoadUser
 
-MAX_REQUEST_CHARACTERS = 6000  # of a request or a report
-NEAR_MISS_TTC_S = (0.2, 1.5)  # the min TTC of a near miss that is asked for
+MAX_REQUEST_CHARACTERS = 6000  # longest request or report
+NEAR_MISS_TTC_S = (0.2, 1.5)  # minimum TTC of a requested near miss
 Side = Literal["front", "rear", "left", "right"]
 
 
@@ -58,7 +58,7 @@ MEANINGS = {
     Event.RUNS_RED: "it enters a junction while its light is red",
     Event.RUNS_YELLOW: "it enters a junction while its light is yellow",
 }
-"""What each event means, for people and models."""
+"""The meaning of each event, for people and models."""
 
 
 class _Table(BaseModel):
@@ -89,7 +89,7 @@ class Asked(_Table):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The settings of the level that is asked for; empty without one."""
+        """The settings for the requested level; empty if no level is requested."""
         if self.level is None:
             return {}
         return {"ttc": NEAR_MISS_TTC_S, "until": "critical"} if self.level == "near_miss" else {"until": self.level}

@@ -1,4 +1,7 @@
-"""Settings: the command line first, then ``SUMO_ADV_*`` variables, then a TOML file, then these defaults."""
+"""Define the settings of a run.
+
+The command line comes first, then ``SUMO_ADV_*`` variables, then a TOML file, then these defaults.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +33,11 @@ from sumo_adv.scenario_names import ScenarioName, wanted
 from sumo_adv.times import whole_milliseconds
 
 ResponseFormat = Literal["json_schema", "json_object", "text"]
-"""How a model's server is told the schema of an answer: as a schema, or in the first message."""
+"""How a model's server learns the schema of an answer: as a schema, or from the first message."""
 
 
 class ModelSettings(BaseModel):
-    """The server, its key, and limits; times in s. The key is in no dump, repr or message."""
+    """The server of a language model, its key, and limits. Times are in s. The key is in no dump, repr or message."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, hide_input_in_errors=True)
 
@@ -42,12 +45,12 @@ class ModelSettings(BaseModel):
     llm_api_key: SecretStr | None = Field(default=None, exclude=True, repr=False)
     llm_connect_timeout: float = Field(default=10.0, gt=0)
     llm_read_timeout: float = Field(default=120.0, gt=0)
-    llm_question_seconds: float = Field(default=120.0, gt=0)  # one question with all its retries
+    llm_question_seconds: float = Field(default=120.0, gt=0)  # of one question with all its retries
     llm_retries: int = Field(default=3, ge=0, le=20)
     llm_concurrency: int = Field(default=4, ge=1, le=64)
-    llm_temperature: float | None = Field(default=None, ge=0, le=2)  # None: as the server has it
-    llm_answer_tokens: int | None = Field(default=None, ge=1)  # of one answer with its thinking; None: the server's
-    llm_response_format: ResponseFormat | None = None  # tried first; None: the best that the server takes
+    llm_temperature: float | None = Field(default=None, ge=0, le=2)  # None: the server's
+    llm_answer_tokens: int | None = Field(default=None, ge=1)  # per answer, with its thinking; None: the server's
+    llm_response_format: ResponseFormat | None = None  # tried first; None: the best one that the server accepts
     llm_max_calls: int | None = Field(default=None, ge=0)
     llm_max_tokens: int | None = Field(default=None, ge=0)
     llm_max_seconds: float | None = Field(default=None, ge=0)
@@ -75,7 +78,14 @@ class ModelSettings(BaseModel):
 
 
 def one_word(key: str) -> SecretStr | None:
-    """A key without spaces around it, None for nothing. Raises ValueError for what cannot go into an HTTP header."""
+    """Strip spaces from a key.
+
+    Returns:
+        The key; None if nothing is left.
+
+    Raises:
+        ValueError: The key cannot be part of an HTTP header.
+    """
     key = key.strip()
     if not key:
         return None
@@ -84,14 +94,14 @@ def one_word(key: str) -> SecretStr | None:
     return SecretStr(key)
 
 
-SETTING_PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
-API_KEY_VARIABLE = f"{SETTING_PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the environment
+SETTING_PREFIX = "SUMO_ADV_"  # of environment variables that are settings
+API_KEY_VARIABLE = f"{SETTING_PREFIX}LLM_API_KEY"  # written to no plan: workers read it from the environment
 BASE_URL_VARIABLE = f"{SETTING_PREFIX}LLM_BASE_URL"
 SECRET = ("llm_api_key", "llm_base_url")  # the values of these settings are never printed
 
 BUILTIN = "builtin"
 MAX_TTC_S = 20.0
-MAX_ATTACK_DELAY_S = 60.0  # after the trigger at which an attack may begin
+MAX_ATTACK_DELAY_S = 60.0  # latest begin of an attack after the trigger
 
 
 class Until(StrEnum):
@@ -110,7 +120,7 @@ class Until(StrEnum):
 
 
 class LimitSettings(BaseModel):
-    """What an adversary may do (m/s2, 1/m, m/s3)."""
+    """The limits of an adversary's motion: accelerations [m/s2], curvature [1/m] and jerk [m/s3]."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -121,16 +131,16 @@ class LimitSettings(BaseModel):
     jerk: float = Field(default=12.0, gt=1, le=50)
 
     def limits(self) -> Limits:
-        """The noun, of a car."""
+        """Return these limits, which are those of a car, as a ``Limits``."""
         return Limits(self.braking, self.acceleration, self.lateral, self.curvature, self.jerk)
 
     def of(self, adversary: Sized) -> Limits:
-        """The limits of an adversary with this box: these of a car, those of ``road_users`` of any other."""
+        """Return the limits of an adversary with this box: these for a car, otherwise those of ``road_users``."""
         return limits_of(adversary, self.limits())
 
 
 class Settings(ModelSettings, BaseSettings):
-    """Everything that shapes a run, times in s."""
+    """All settings that shape a run. Times are in s."""
 
     model_config = SettingsConfigDict(
         env_prefix=SETTING_PREFIX,
@@ -144,30 +154,30 @@ class Settings(ModelSettings, BaseSettings):
     ego: str = "idm"
     ego_id: str | None = None
     ego_parameters: dict[str, float] = Field(default_factory=dict)
-    ego_deadline: float = Field(60.0, ge=0, le=86_400)  # real s in which its driver must answer; 0: none
-    ego_latency: Annotated[float, Field(ge=0, le=5)] | Literal["measured"] = 0.0  # s until an answer takes effect
+    ego_deadline: float = Field(60.0, ge=0, le=86_400)  # wall-clock time in which the driver must answer; 0: no limit
+    ego_latency: Annotated[float, Field(ge=0, le=5)] | Literal["measured"] = 0.0  # time until an answer takes effect
     ego_sensing: EgoSensing = Field(default_factory=EgoSensing)
-    attempt_memory: float = Field(4096.0, ge=0, le=1_048_576)  # MiB of a fork beyond what it begins with; 0: no bound
+    attempt_memory: float = Field(4096.0, ge=0, le=1_048_576)  # MiB that a fork may add; 0: no limit
     adversary: str | None = None
-    adversaries: int = Field(1, ge=1, le=MAX_ADVERSARIES)  # of an attack at most: a collider and supports
+    adversaries: int = Field(1, ge=1, le=MAX_ADVERSARIES)  # maximum of an attack: a collider and supports
     trigger: float | None = Field(None, ge=0)
     begin: float | None = Field(None, ge=0)
     end: float | None = Field(None, ge=0)
     until: Until = Until.TTC
     attempts: int = Field(400, ge=1, le=10_000)
-    seconds: float = Field(60.0, gt=0, le=86_400)  # of attempts in an encounter
-    total_seconds: float = Field(300.0, ge=0, le=604_800)  # after which no further encounter is begun
-    diverse: int = Field(1, ge=1, le=20)  # successes of different kinds that are wanted
-    ttc: tuple[float, float] | None = None  # a near miss is wanted: the band in which its min TTC lies
+    seconds: float = Field(60.0, gt=0, le=86_400)  # maximum time of the attempts in an encounter
+    total_seconds: float = Field(300.0, ge=0, le=604_800)  # time after which no further encounter begins
+    diverse: int = Field(1, ge=1, le=20)  # wanted number of successes of different kinds
+    ttc: tuple[float, float] | None = None  # a near miss is wanted, with a minimum TTC in this band
     critical_ttc: float = Field(1.0, gt=0, le=MAX_TTC_S)
     min_delta_v: float = Field(0.0, ge=0, le=60)  # m/s
     intents: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may be tried; empty: all
     exclude: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may not
-    ask: str | None = None  # the attack that is wanted, in words; a language model reads them
+    ask: str | None = None  # the wanted attack in words, for a language model
     kind: Annotated[tuple[Relation, ...], NoDecode] = ()  # relations that the adversary may have; empty: all
-    scenario: Annotated[tuple[str, ...], NoDecode] = ()  # named scenarios that an attack must show; empty: any
+    scenario: Annotated[tuple[str, ...], NoDecode] = ()  # an attack must show one of these; empty: any
     tuner: Literal["builtin", "off"] = "builtin"
-    llm: str | None = None  # plays analyzer, generator and modifier, but for the parts named below
+    llm: str | None = None  # plays all roles that are not named below
     analyzer: str | None = None
     generator: str | None = None
     modifier: str | None = None
@@ -181,9 +191,9 @@ class Settings(ModelSettings, BaseSettings):
     memory: Path | None = None
     seed: int = Field(0, ge=0, le=2**31 - 1)
     density: float | None = Field(None, gt=0)
-    background: Literal["log", "sumo"] | None = None  # drives recorded BVs; None = as the scenario says
+    background: Literal["log", "sumo"] | None = None  # drives recorded BVs; None: what the scenario says
     odd: Odd | None = None  # encounters outside it are not attacked
-    sumo_options: dict[str, str] = Field(default_factory=dict)  # of SUMO, by its own long names
+    sumo_options: dict[str, str] = Field(default_factory=dict)  # SUMO's options by their long names
     fork: bool = True
     bubblewrap: bool = True
 
@@ -192,7 +202,7 @@ class Settings(ModelSettings, BaseSettings):
     horizon: float = Field(8.0, ge=1, le=30)
     duration: float = Field(12.0, ge=1, le=60)
     replan: float = Field(0.5, ge=0.1, le=60)
-    forecast: Literal["model", "constant"] = "model"  # of the ego: by its driver's model, or its speed kept
+    forecast: Literal["model", "constant"] = "model"  # predicts the ego with its driver model or at constant speed
     delays: tuple[float, ...] = (0.0, 1.5, 3.0)
     shortlist: int = Field(5, ge=1, le=20)
     search: float = Field(600.0, gt=0)
@@ -200,14 +210,14 @@ class Settings(ModelSettings, BaseSettings):
     proposals: int = Field(80, ge=4, le=2000)
     per_planner: int = Field(8, ge=1)
     modifications: int = Field(3, ge=0)
-    questions: int = Field(8, ge=1)  # to models in an encounter; repeated ones and samples do not count
-    questions_familiar: int = Field(3, ge=1)  # where the analysis has no new intent
+    questions: int = Field(8, ge=1)  # to models per encounter; repetitions and samples do not count
+    questions_familiar: int = Field(3, ge=1)  # the same if the analysis has no new intent
     limits: LimitSettings = Field(default_factory=LimitSettings)
 
     @field_validator("intents", "exclude", "kind", "scenario", mode="before")
     @classmethod
     def _listed(cls, given: Any) -> Any:
-        """A text with commas is a list."""
+        """Split a text at its commas."""
         return tuple(w.strip() for w in given.split(",") if w.strip()) if isinstance(given, str) else given
 
     @field_validator("scenario")
@@ -219,7 +229,7 @@ class Settings(ModelSettings, BaseSettings):
     @field_validator("step_length")
     @classmethod
     def _as_sumo_steps(cls, given: float) -> float:
-        """The step that SUMO takes."""
+        """Round the step as SUMO does."""
         if whole_milliseconds(given) == 0.0:
             raise ValueError("it is shorter than SUMO's shortest step of 0.001 s")
         return whole_milliseconds(given)
@@ -233,7 +243,11 @@ class Settings(ModelSettings, BaseSettings):
 
     @model_validator(mode="after")
     def _fits_the_step(self) -> Settings:
-        """Times that are steps are at least one step long; delays are there and not negative."""
+        """Refuse times that do not fit the step.
+
+        Times that are counted in steps must be at least one step long. There must be at least one delay, and none may
+        be negative.
+        """
         for name in ("replan", "history", "duration", "horizon"):
             if getattr(self, name) < self.step_length:
                 raise ValueError(f"{name} is shorter than a step of {self.step_length:g} s")
@@ -247,7 +261,7 @@ class Settings(ModelSettings, BaseSettings):
 
     @model_validator(mode="after")
     def _has_one_goal(self) -> Settings:
-        """A near miss has no collision, so nothing can be wanted of one."""
+        """Refuse a near miss that is combined with a wish for a collision."""
         if self.ttc is None:
             return self
         if not 0 <= self.ttc[0] < self.ttc[1] <= MAX_TTC_S:
@@ -260,17 +274,17 @@ class Settings(ModelSettings, BaseSettings):
 
     @property
     def goal(self) -> Goal:
-        """What an attempt must come to."""
+        """The goal of an attempt."""
         return Goal(self.until.level, self.min_delta_v, self.ttc)
 
     @property
     def scenario_names(self) -> tuple[ScenarioName, ...]:
-        """The named scenarios one of which an attack must show; empty for any."""
+        """The named scenarios of which an attack must show one; empty for any."""
         return wanted(self.scenario)
 
     @property
     def harmless_ttc(self) -> float:
-        """The min TTC [s] that a run without an attack must exceed: else the attack would show nothing."""
+        """The minimum TTC [s] that a run without an attack must exceed; otherwise the attack would show nothing."""
         return max(self.critical_ttc, self.ttc[1] if self.ttc is not None else 0.0)
 
     @classmethod
@@ -282,22 +296,29 @@ class Settings(ModelSettings, BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Command line, environment, file."""
+        """Order the sources: command line, environment, file."""
         file = _chosen_file[-1] if _chosen_file else None
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, file)
 
     def player(self, role: str) -> str | None:
-        """The model named for analyzer, generator or modifier; None = the built-in expert."""
+        """Return the model that plays a role.
+
+        Args:
+            role: ``analyzer``, ``generator`` or ``modifier``.
+
+        Returns:
+            The name of the model; None for the built-in expert.
+        """
         name: str | None = getattr(self, role) or self.llm
         return None if name in (None, "", BUILTIN) else name
 
     def steps(self, seconds: float) -> int:
-        """How many simulation steps a time is."""
+        """Return how many simulation steps ``seconds`` are, rounded."""
         return round(seconds / self.step_length)
 
 
 def reachable(settings: Settings) -> bool:
-    """Whether the level can be reached: ``careful`` is the driver that ``strict`` is judged against."""
+    """Return whether the level can be reached. ``strict`` is judged against the driver ``careful`` itself."""
     return settings.ego != "careful" or settings.until.level < Level.STRICT
 
 
@@ -311,9 +332,16 @@ def forget_environment() -> None:
 
 
 def refuse_address(table: Mapping[str, Any], said: str, *, own_key: bool = False) -> None:
-    """Refuse a file that names a model's server while a key comes from elsewhere: who wrote the file would get it.
+    """Refuse a file that names a model's server while the key comes from elsewhere: the file's author would get the
+    key.
 
-    table: the settings in the file. own_key: a key was given beside the file. Raises UsageError.
+    Args:
+        table: The settings in the file.
+        said: What the error calls the file.
+        own_key: Whether a key was given beside the file.
+
+    Raises:
+        UsageError: The file names a server that the environment does not name, and there is a key.
     """
     environ = {name.upper(): value for name, value in os.environ.items()}
     address, known = table.get("llm_base_url"), environ.get(BASE_URL_VARIABLE)
@@ -324,14 +352,21 @@ def refuse_address(table: Mapping[str, Any], said: str, *, own_key: bool = False
         )
 
 
-_chosen_file: list[Path] = []  # while settings are loaded from a file: that one
+_chosen_file: list[Path] = []  # the file from which settings are being loaded
 
 
 def load_settings(file: Path | None = None, **given: Any) -> Settings:
-    """Settings from what was ``given`` (None = not given), the environment and a TOML file.
+    """Load settings from arguments, the environment and a TOML file.
+
+    Args:
+        file: The TOML file; None for no file.
+        **given: Settings that override all others; None means that a setting is not given.
+
+    Returns:
+        The settings.
 
     Raises:
-        UsageError: an unknown name or a value out of range.
+        UsageError: A name is unknown, or a value is out of range.
     """
     _refuse_capitals(given)
     if file is not None:
@@ -339,9 +374,9 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
             raise UsageError(f"The settings file {file} does not exist.")
         table = read_toml(file, "The settings file")
         _refuse_capitals(table)
-        # an empty one is none
+        # an empty variable counts as unset
         named = any(name.upper() == BASE_URL_VARIABLE and value for name, value in os.environ.items())
-        if not named and not given.get("llm_base_url"):  # these go before the file's
+        if not named and not given.get("llm_base_url"):  # these override the file's address
             refuse_address(table, f"The settings file {file}", own_key=bool(given.get("llm_api_key")))
         _chosen_file.append(file)
     try:
@@ -356,14 +391,14 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
 
 
 def _refuse_capitals(names: Iterable[str]) -> None:
-    """A setting has one name, which is what files are checked by; pydantic takes it in capitals, too."""
+    """Refuse names in capitals. pydantic would take them, but files are checked for one name per setting."""
     for name in names:
         if name not in Settings.model_fields and name.lower() in Settings.model_fields:
             raise UsageError(f"There is no setting '{name}'; the nearest is '{name.lower()}'.")
 
 
 def _sentence(detail: ErrorDetails) -> str:
-    """What is wrong with the settings, in a sentence that names the setting, or the one most like an unknown one."""
+    """Say what is wrong with the settings, naming the setting, or the known one most like an unknown one."""
     names = [part for part in detail["loc"] if isinstance(part, str)]
     message, name = detail["msg"].removeprefix("Value error, "), ".".join(names)
     if not name:

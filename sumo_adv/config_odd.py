@@ -1,11 +1,11 @@
-"""The operational design domain (ODD) of a campaign: encounters outside it are not attacked.
+"""Define the operational design domain (ODD) of a campaign. Encounters outside it are not attacked.
 
-    roads = ["urban", "junction"]            # motorway | rural | urban | junction; left out: all
+    roads = ["urban", "junction"]            # motorway | rural | urban | junction
     relations = ["oncoming", "crossing"]     # leader | follower | neighbour | oncoming | crossing | merging
     speed = [0.0, 14.0]                      # m/s, of the ego when the attack may begin
-    vehicles_near = [1, 12]                  # vehicles within 70 m of the ego then
+    vehicles_near = [1, 12]                  # vehicles within 70 m of the ego at that time
 
-A key that is left out restricts nothing. Both ends of a range belong to it.
+A missing key restricts nothing. Both ends of a range belong to it.
 """
 
 from __future__ import annotations
@@ -42,19 +42,26 @@ class Odd(BaseModel):
     vehicles_near: Counts | None = None
 
     def contains(self, place: RoadPlace) -> bool:
-        """Whether an attack may begin at a place. Off the network only an ODD without ``roads`` contains it."""
+        """Return whether an attack may begin at a place.
+
+        A place off the network is inside only if the ODD has no ``roads``.
+        """
         on_road = not self.roads or place.road in self.roads
         low, high = self.speed or (0.0, math.inf)
         fewest, most = self.vehicles_near or (0, math.inf)
         return on_road and low <= place.speed <= high and fewest <= place.vehicles_near <= most
 
     def has_relation(self, relation: str) -> bool:
-        """Whether a vehicle of that relation to the ego may attack."""
+        """Return whether a vehicle with this relation to the ego may attack."""
         return not self.relations or relation in self.relations
 
 
 def read_odd(path: Path) -> Odd:
-    """The ODD in a TOML file. Raises UsageError: the file is missing, is no TOML, or has a bad key or value."""
+    """Read an ODD from a TOML file.
+
+    Raises:
+        UsageError: The file is missing, is not TOML, or has a bad key or value.
+    """
     try:
         return Odd.model_validate(read_toml(path, "The ODD"))
     except ValidationError as error:

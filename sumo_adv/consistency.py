@@ -1,8 +1,8 @@
-"""Whether imported motion can be right: units, order of time, sizes, speeds and headings of recorded tracks.
+"""Check whether imported motion is plausible: units, order of time, sizes, speeds and headings of recorded tracks.
 
-All importers ask here: tables for ``judge``, tracks of scenarios, FCD, Waymo records and CommonRoad obstacles. A unit
-is wrong for a whole track. So speeds and headings are compared with the positions over all stretches of a metre in
-which the object moves, and more than half must contradict: reversing, standing, skidding and noise raise no alarm.
+All importers use it: tables for ``judge``, tracks of scenarios, FCD, Waymo records and CommonRoad obstacles. A unit is
+wrong for a whole track. So speeds and headings are compared with the positions over all stretches of a metre in which
+the object moves, and more than half must contradict. Reversing, standing, skidding and noise raise no alarm.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.geometry import wrap
 
-COMPARED_MOTION_M = 1.0  # over which a speed and a heading are compared with the positions
-MIN_TRAVEL_M = 10.0  # that an object must have moved, or claim to have moved, to be compared
-# Speed over motion: mph is 2.24, and SUMO's lanes may be twice as long as drawn
+COMPARED_MOTION_M = 1.0  # distance over which speed and heading are compared with positions
+MIN_TRAVEL_M = 10.0  # shortest real or claimed travel of an object that is compared
+# Limits of speed / motion: mph gives 2.24, and SUMO's lanes may be twice as long as drawn
 MAX_SPEED_RATIO = 2.1
 MIN_SPEED_RATIO = 0.45
-ASKEW_RAD = math.radians(30.0)  # between heading and motion, forwards or backwards; slip angles stay far below
-FITTING_RAD = math.radians(10.0)  # between heading and motion where a convention explains the motion
-MAX_REVERSING_SPEED_M_S = 10.0  # no car drives backwards faster
-UNIT_TOLERANCE = 0.06  # of a factor between two units
-ROUNDING_RAD = 0.01  # of a heading of 2 pi
-MAX_INPUT_COORDINATE_M = 1e9  # from the origin
-MAX_WIDTH_M = 100.0  # of anything on a road; a car is 180 cm wide
-GRID_SLACK_S = 2e-3  # that a time may be off an even grid, and at most a quarter of a step: SUMO's times are in ms
+ASKEW_RAD = math.radians(30.0)  # largest angle between heading and motion, either way; slip angles are far below
+FITTING_RAD = math.radians(10.0)  # largest angle between heading and motion if a convention explains the motion
+MAX_REVERSING_SPEED_M_S = 10.0  # no car reverses faster
+UNIT_TOLERANCE = 0.06  # relative tolerance of a factor between two units
+ROUNDING_RAD = 0.01  # rounding of a heading of 2 pi
+MAX_INPUT_COORDINATE_M = 1e9  # largest distance from the origin
+MAX_WIDTH_M = 100.0  # largest width of anything on a road; a car is 180 cm wide
+GRID_SLACK_S = 2e-3  # tolerance of an even grid, at most a quarter of a step: SUMO's times are in ms
 FRAME_RATES_HZ = (5.0, 120.0)
 
 Range = tuple[float, float]
@@ -38,7 +38,7 @@ SIZE_RANGES_M: Mapping[str, tuple[Range, Range]] = {
     "cyclist": ((0.3, 5.0), (0.1, 2.0)),
     "other": ((0.01, 100.0), (0.01, 100.0)),
 }
-"""Length and width [m] that an object of a kind may have; SUMO's longest class is a train of 200 m."""
+"""Plausible lengths and widths [m] by kind. SUMO's longest class is a train of 200 m."""
 SIZE_UNITS = (("centimetres", 0.01), ("millimetres", 0.001), ("feet", 0.3048), ("inches", 0.0254))
 TYPICAL_SIZE_RANGES_M: Mapping[str, tuple[Range, Range]] = {**SIZE_RANGES_M, "vehicle": ((1.0, 30.0), (0.5, 3.0))}
 SPEED_UNITS = (
@@ -47,14 +47,20 @@ SPEED_UNITS = (
     ("positions look like millimetres", 0.001), ("times look like milliseconds, or positions like kilometres", 1e3),
     ("times look like microseconds", 1e6), ("times look like nanoseconds", 1e9),
 )  # fmt: skip
-"""What a track looks like whose speed is a factor times its motion."""
-METRES_PER_DEGREE = (3e4, 1.3e5)  # m/s of motion for one degree/s: places in longitude and latitude
+"""Explanations of speeds that are a factor times the motion."""
+METRES_PER_DEGREE = (3e4, 1.3e5)  # m/s of speed per degree/s of motion: positions are in longitude and latitude
 
 
 @dataclass(frozen=True, slots=True)
 class Angles:
-    """How a format writes headings. unit: behind a value; most: of its absolute value; to_rad: to radians
-    counter-clockwise from +x."""
+    """A convention for headings.
+
+    Attributes:
+        words: The convention in words.
+        unit: The unit as written after a value.
+        most: The largest absolute value.
+        to_rad: Converts headings to radians counter-clockwise from +x.
+    """
 
     words: str
     unit: str
@@ -64,7 +70,7 @@ class Angles:
 
 RADIANS = Angles("radians counter-clockwise from +x", " rad", 2 * math.pi + ROUNDING_RAD, lambda h: h)
 UNWRAPPED = Angles(RADIANS.words, " rad", 4 * math.pi, RADIANS.to_rad)
-"""Waymo's records: real ones have headings of up to 3.3 pi."""
+"""Waymo's convention. Real records have headings of up to 3.3 pi."""
 SUMO_DEGREES = Angles("degrees clockwise from north", " degrees", 360.0, lambda h: np.radians(90.0 - h))
 CONVENTIONS = (
     RADIANS,
@@ -77,8 +83,20 @@ CONVENTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class GivenMotion:
-    """The states of one object as a file gives them, arrays ``(n,)`` in order of time. x, y [m]; speed [m/s], negative
-    while it reverses; ``heading``: as ``angles`` says; length, width [m]."""
+    """The states of one object as a file gives them. Arrays are ``(n,)`` in order of time.
+
+    Attributes:
+        name: The name of the object.
+        kind: ``vehicle``, ``pedestrian``, ``cyclist`` or ``other``.
+        time: The times [s].
+        x: The x of the positions [m].
+        y: The y of the positions [m].
+        heading: The headings, in the convention ``angles``.
+        speed: The speeds [m/s], negative while the object reverses.
+        length: The length of the object [m].
+        width: The width of the object [m].
+        angles: The convention for headings.
+    """
 
     name: str
     kind: str  # vehicle | pedestrian | cyclist | other
@@ -94,8 +112,14 @@ class GivenMotion:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What cannot be right of the state ``index`` of ``motion``; ``what`` goes on a sentence whose subject is that
-    state. cause: what the file looks like; empty if nothing explains it."""
+    """An implausible state.
+
+    Attributes:
+        motion: The motion.
+        index: The index of the state.
+        what: What is wrong, as the end of a sentence whose subject is the state.
+        cause: What the file looks like; empty if nothing explains the fault.
+    """
 
     motion: GivenMotion
     index: int
@@ -104,20 +128,26 @@ class Fault:
 
     @property
     def says(self) -> str:
+        """What is wrong, with the cause."""
         return f"{self.what}: {self.cause}" if self.cause else self.what
 
     @property
     def time(self) -> float:
-        """When that state is [s]."""
+        """The time of the state [s]."""
         return float(self.motion.time[self.index])
 
 
 def find_fault(motions: Sequence[GivenMotion], *, noisy: bool) -> Fault | None:
-    """The first thing of ``motions`` that cannot be right.
+    """Find the first implausible state.
 
-    noisy: they were measured, and one object may be wrong by itself. So what no unit explains counts only if it holds
-    for half of the moving objects. Headings and sizes always need that: small headings in degrees look like noise, and
-    what never moves may be a building.
+    Args:
+        motions: The motions of the objects.
+        noisy: Whether the motions were measured. Then a single object may be wrong by itself: a contradiction that no
+            unit explains counts only if it holds for half of the moving objects. Headings and sizes always need that,
+            because small headings in degrees look like noise, and a box that never moves may be a building.
+
+    Returns:
+        The fault; None if there is none.
     """
     moving = 0
     sizes: list[Fault] = []
@@ -132,7 +162,7 @@ def find_fault(motions: Sequence[GivenMotion], *, noisy: bool) -> Fault | None:
             return size
         sizes += [size] if size else []
         if stretches is None or motion.kind not in ("vehicle", "cyclist"):
-            continue  # pedestrians jump sideways in SUMO, and turn on the spot
+            continue  # SUMO's pedestrians jump sideways and turn on the spot
         moving += moves
         speed = _against_speed(motion, stretches)
         fault = speed or _against_heading(motion, stretches)
@@ -147,10 +177,16 @@ def find_fault(motions: Sequence[GivenMotion], *, noisy: bool) -> Fault | None:
 
 
 def even_grid(times: Floats) -> tuple[Floats, Floats]:
-    """The even grid that holds ascending ``times`` ``(n,)`` [s], and how far each is off it.
+    """Find the even grid of times, and how far each time is off it.
 
-    The step begins as the least difference. It is measured over ever longer parts, so that times that were rounded
-    (0.033, 0.067, 0.1 of a thirtieth) give the step that was meant, and gaps do no harm.
+    The step begins as the smallest difference. It is measured over ever longer parts, so that rounded times (0.033,
+    0.067, 0.1 of a thirtieth) give the intended step. Gaps do no harm.
+
+    Args:
+        times: Ascending times ``(n,)`` [s].
+
+    Returns:
+        The times of the grid [s], and the distance of each given time from the grid ``(n,)`` [s].
     """
     if len(times) < 2:
         return times, np.zeros(len(times))
@@ -166,12 +202,12 @@ def even_grid(times: Floats) -> tuple[Floats, Floats]:
 
 
 def steps_over(times: Floats) -> float:
-    """How many steps of the least difference ascending ``times`` span."""
+    """Return how many steps of the smallest difference ascending ``times`` [s] span."""
     return 0.0 if len(times) < 2 else float(times[-1] - times[0]) / float(np.diff(times).min())
 
 
 def off_grid(times: Floats) -> int | None:
-    """The index of the worst of ascending ``times`` that is not on their even grid; None if all are."""
+    """Return the index of the worst of ascending ``times`` [s] that is off their even grid; None if none is."""
     grid, off = even_grid(times)
     worst = int(off.argmax())
     return worst if len(grid) > 1 and off[worst] > _slack(float(grid[1] - grid[0])) else None
@@ -182,7 +218,14 @@ def _slack(step: float) -> float:
 
 
 def unordered(times: Floats) -> tuple[int, str] | None:
-    """The first of ``times`` that does not come after the one before it, and what is wrong with it; None if all do."""
+    """Find the first time that does not come after the one before it.
+
+    Args:
+        times: The times [s].
+
+    Returns:
+        Its index, and what is wrong with it in words; None if the times ascend.
+    """
     wrong = np.flatnonzero(np.diff(times) <= 0.0)
     if not len(wrong):
         return None
@@ -194,6 +237,7 @@ def unordered(times: Floats) -> tuple[int, str] | None:
 
 
 def _not_finite(m: GivenMotion) -> Fault | None:
+    """Find a number that is not finite, or a position that is on no map."""
     for column in ("time", "x", "y", "heading", "speed", "length", "width"):
         values = np.atleast_1d(np.asarray(getattr(m, column), float))
         bad = ~(np.abs(values) < MAX_INPUT_COORDINATE_M) if column in ("x", "y") else ~np.isfinite(values)
@@ -205,7 +249,7 @@ def _not_finite(m: GivenMotion) -> Fault | None:
 
 
 def _wrong_size(m: GivenMotion, kind: str) -> Fault | None:
-    """What is wrong of its size for an object of a ``kind``."""
+    """Find a size that no object of this ``kind`` has."""
     if _within((m.length, m.width), SIZE_RANGES_M[kind]) and not (kind == "vehicle" and m.width > max(m.length, 3.0)):
         return None
     swapped = _within((m.width, m.length), TYPICAL_SIZE_RANGES_M[m.kind])
@@ -224,6 +268,7 @@ def _within(size: tuple[float, float], ranges: tuple[Range, Range]) -> bool:
 
 
 def _beyond_turns(m: GivenMotion) -> Fault | None:
+    """Find a heading beyond the largest value of its convention."""
     beyond = np.abs(m.heading) > m.angles.most
     if not beyond.any():
         return None
@@ -243,9 +288,19 @@ def _beyond_turns(m: GivenMotion) -> Fault | None:
 
 @dataclass(frozen=True, slots=True)
 class _Stretches:
-    """Stretches of about a metre, of states ``first`` to ``last``, arrays ``(m,)``. chord, driven [m]: by the positions
-    and by the speeds; direction [rad]: of the motion. Over the whole track: ``path``, ``claimed`` [m], the same;
-    ``extent`` [m]: between its farthest places."""
+    """Stretches of about a metre of a track. Arrays are ``(m,)``.
+
+    Attributes:
+        first: The index of each stretch's first state.
+        last: The index of its last state.
+        chord: Its length by the positions [m].
+        driven: Its length by the speeds [m].
+        direction: The direction of its motion [rad].
+        seconds: Its duration [s].
+        path: The length of the whole track by the positions [m].
+        claimed: The length of the whole track by the speeds [m].
+        extent: The diagonal of the box around all positions [m].
+    """
 
     first: Ints
     last: Ints
@@ -275,7 +330,7 @@ def _stretches(m: GivenMotion) -> _Stretches:
     ends = np.flatnonzero(np.diff(metre, prepend=-1.0) > 0)
     first, last = ends[:-1], ends[1:]
     chord = np.hypot(m.x[last] - m.x[first], m.y[last] - m.y[first])
-    keep = (gaps[last] == gaps[first]) & (chord > COMPARED_MOTION_M / 2)  # jitter of a standing object makes no chord
+    keep = (gaps[last] == gaps[first]) & (chord > COMPARED_MOTION_M / 2)  # drop the jitter of a standing object
     first, last, chord = first[keep], last[keep], chord[keep]
     direction = np.arctan2(m.y[last] - m.y[first], m.x[last] - m.x[first])
     return _Stretches(
@@ -285,6 +340,7 @@ def _stretches(m: GivenMotion) -> _Stretches:
 
 
 def _against_speed(m: GivenMotion, s: _Stretches) -> Fault | None:
+    """Find speeds that contradict the positions."""
     if not s.counts:
         return None
     if s.extent >= MIN_TRAVEL_M and len(s.chord):
@@ -300,7 +356,7 @@ def _against_speed(m: GivenMotion, s: _Stretches) -> Fault | None:
 
 
 def _unit_of(factor: float, time: Floats) -> str:
-    """What a track looks like whose speeds are ``factor`` times its motion; empty if no unit explains it."""
+    """Say what a track looks like whose speeds are ``factor`` times its motion; empty if no unit explains it."""
     if factor <= 0.0:
         return "speeds are missing"
     off, words = min((abs(math.log(factor / unit)), words) for words, unit in SPEED_UNITS)
@@ -314,6 +370,7 @@ def _unit_of(factor: float, time: Floats) -> str:
 
 
 def _against_heading(m: GivenMotion, s: _Stretches) -> Fault | None:
+    """Find headings that contradict the direction of motion."""
     if s.extent < MIN_TRAVEL_M or not len(s.chord):
         return None
     off = _off(m.angles, m, s)
@@ -339,7 +396,7 @@ def _against_heading(m: GivenMotion, s: _Stretches) -> Fault | None:
 
 
 def _off(angles: Angles, m: GivenMotion, s: _Stretches) -> Floats:
-    """Absolute angle [rad] between motion and heading of each stretch, the mean heading of its two ends."""
+    """Return the absolute angle [rad] between each stretch's motion and the mean heading of its two ends."""
     ends = [angles.to_rad(m.heading[at]) for at in (s.first, s.last)]
     mean = np.arctan2(sum(map(np.sin, ends)), sum(map(np.cos, ends)))
     return np.abs(wrap(mean - s.direction))

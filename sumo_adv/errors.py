@@ -1,18 +1,18 @@
-"""Every error this program raises on purpose.
+"""Define every error that this program raises on purpose.
 
 SumoAdvError                 one sentence: what is wrong and what to do; exit status 1
 ├── UsageError               wrong use or bad input; exit status 2
-│   └── MissingVehicleError  a vehicle that is named is not in the simulation
+│   └── MissingVehicleError  a named vehicle is not in the simulation
 ├── SimulationError          SUMO failed, or the engine process died
 │   └── DriverError          the ego's driver failed, hung, ended its process or used up an attempt's memory
 ├── SandboxError             planner code failed inside its limits
-│   ├── PlannerSyntaxError   not in the sandbox's subset, or does not parse
-│   ├── PlannerRuntimeError  raised while running
+│   ├── PlannerSyntaxError   the text does not parse, or is outside the sandbox's subset of Python
+│   ├── PlannerRuntimeError  the planner raised an exception
 │   ├── PlannerLimitError    time, memory, recursion or output limit
-│   └── PlannerResultError   returned something that is not an endpoint
+│   └── PlannerResultError   the result is not an endpoint
 ├── ModelError               a language model cannot be asked, or gives no usable answer; ending model_failed
 │   └── BudgetError          the run's calls, tokens or seconds are spent; ending budget_exhausted
-└── BankError                the memory bank cannot be opened, read or written
+└── BankError                the memory bank cannot be opened, read or written; exit status 2
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ OUT_OF_MEMORY = "Memory ran out; end other programs, use fewer workers, or give 
 
 
 class SumoAdvError(Exception):
-    """Base class. ``str(error)`` is one sentence a user can act on."""
+    """The base class of all errors. ``str(error)`` is one sentence that a user can act on."""
 
     exit_status = 1
 
@@ -37,7 +37,11 @@ class UsageError(SumoAdvError):
 
 
 class MissingVehicleError(UsageError):
-    """The vehicle ``vehicle`` is named, and did not come into the simulation."""
+    """A named vehicle did not come into the simulation.
+
+    Attributes:
+        vehicle: The id of the vehicle.
+    """
 
     def __init__(self, message: str, vehicle: str = "") -> None:
         super().__init__(message)
@@ -49,7 +53,7 @@ class SimulationError(SumoAdvError):
 
 
 class DriverError(SimulationError):
-    """The ego's driver failed, hung, ended its process or used up an attempt's memory: that attempt alone is lost."""
+    """The ego's driver failed, hung, ended its process or used up an attempt's memory. Only that attempt is lost."""
 
 
 class SandboxError(SumoAdvError):
@@ -57,7 +61,7 @@ class SandboxError(SumoAdvError):
 
 
 class PlannerSyntaxError(SandboxError):
-    """The planner's text does not parse or uses what the sandbox lacks."""
+    """The planner's text does not parse, or uses what the sandbox does not support."""
 
 
 class PlannerRuntimeError(SandboxError):
@@ -73,7 +77,12 @@ class PlannerResultError(SandboxError):
 
 
 class ModelError(SumoAdvError):
-    """A language model cannot be asked, or gives no usable answer. ``retries`` and ``seconds`` were spent on it."""
+    """A language model cannot be asked, or gives no usable answer.
+
+    Attributes:
+        retries: The number of retries that were spent.
+        seconds: The time that was spent [s].
+    """
 
     def __init__(self, message: str, *, retries: int = 0, seconds: float = 0.0) -> None:
         super().__init__(message)
@@ -92,7 +101,7 @@ class BankError(SumoAdvError):
 
 
 def ran_out_of_memory(error: BaseException | None) -> bool:
-    """Whether an error, or its cause, says that the machine has no more memory."""
+    """Return whether an error, or one of its causes, says that memory ran out."""
     while error is not None:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
             return True
@@ -101,7 +110,14 @@ def ran_out_of_memory(error: BaseException | None) -> bool:
 
 
 def fault_sentence(error: BaseException) -> str:
-    """A sentence about an unexpected error, which is a fault of ours unless memory ran out."""
+    """Describe an unexpected error in a sentence.
+
+    Args:
+        error: The error.
+
+    Returns:
+        A request to report a fault of this program, or advice if memory ran out.
+    """
     if ran_out_of_memory(error):
         return OUT_OF_MEMORY
     message = " ".join(f"{type(error).__name__}: {error}".split())
@@ -109,7 +125,15 @@ def fault_sentence(error: BaseException) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """``; the nearest is 'attempts'`` for the known name that is most like ``name``; empty if none is like it."""
+    """Name the known name that is most like a given one.
+
+    Args:
+        name: The given name.
+        known: The known names.
+
+    Returns:
+        A part of a sentence such as ``; the nearest is 'attempts'``, or '' if none is similar.
+    """
     by_lower = {each.lower(): each for each in known}
     matches = get_close_matches(name.lower(), by_lower, n=1)
     return f"; the nearest is '{by_lower[matches[0]]}'" if matches else ""

@@ -1,4 +1,4 @@
-"""Writing files whole or not at all, and saying why where that is not possible; folders that others may have made."""
+"""Write files whole or not at all, describe storage errors, and handle folders that others may have made."""
 
 from __future__ import annotations
 
@@ -22,18 +22,25 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r")
 WRITE_REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EIO)
 
 USER_FOLDERS = {
-    # variable and folder of Linux and the rest, folder of macOS
+    # variable and folder on Linux and other systems, folder on macOS
     "data": ("XDG_DATA_HOME", ".local/share", "Library/Application Support"),
     "cache": ("XDG_CACHE_HOME", ".cache", "Library/Caches"),
 }
 
 
 def user_folder(kind: Literal["data", "cache"], environ: Mapping[str, str], platform: str, home: Path | None) -> Path:
-    """The user's folder for the program's data or cache; nothing is created.
+    """Return the user's folder for the program's data or cache. Nothing is created.
 
-    Linux and the rest: ``$XDG_DATA_HOME`` or ``$XDG_CACHE_HOME`` (absolute, as the XDG base directory specification
-    asks), else ``~/.local/share`` or ``~/.cache``. macOS: ``~/Library/Application Support`` or ``~/Library/Caches``.
-    Windows: ``%LOCALAPPDATA%`` or ``~/AppData/Local``.
+    On Linux and other systems, it is below ``$XDG_DATA_HOME`` or ``$XDG_CACHE_HOME``. These must be absolute, as the
+    XDG base directory specification demands; otherwise ``~/.local/share`` or ``~/.cache`` is used. On macOS, it is
+    below ``~/Library/Application Support`` or ``~/Library/Caches``; on Windows, below ``%LOCALAPPDATA%`` or
+    ``~/AppData/Local``.
+
+    Args:
+        kind: The content of the folder.
+        environ: The environment variables.
+        platform: The value of ``sys.platform``.
+        home: The home folder; None for the user's.
     """
     home = Path.home() if home is None else home
     variable, elsewhere, on_macos = USER_FOLDERS[kind]
@@ -49,15 +56,21 @@ def user_folder(kind: Literal["data", "cache"], environ: Mapping[str, str], plat
 
 
 def is_plain_name(name: Any) -> bool:
-    """Whether it names an entry of a folder, and no place elsewhere."""
+    """Return whether a value names an entry of a folder, and nothing elsewhere."""
     return isinstance(name, str) and name not in ("", ".", "..") and not set(name) & {"/", "\\", "\0"}
 
 
 def refuse_links(folder: Path) -> None:
-    """Raises UsageError for a link anywhere in a folder that is a campaign's, a suite's or a run's.
+    """Refuse a folder of a campaign, suite or run that contains a link.
 
-    The program reads, moves and deletes what lies in such a folder, and others may have made it: a link would lead it
-    elsewhere. The folder itself may be a link of the user's. Nothing is wrong with a folder that is not there.
+    The program reads, moves and deletes the contents of such a folder. Others may have made the folder, and a link
+    would lead the program elsewhere. The folder itself may be a link of the user's. A missing folder is fine.
+
+    Args:
+        folder: The folder.
+
+    Raises:
+        UsageError: There is a link anywhere in the folder.
     """
     left = [folder]
     while left:
@@ -76,13 +89,15 @@ _SCRATCH = re.compile(r"sumo_adv-(\d+)-(\d+)-.*")
 
 
 def scratch_prefix() -> str:
-    """What the name of a scratch folder of this process begins with, for ``tempfile``: ``sweep_scratch`` knows by it
-    whether the process still runs."""
+    """Return the beginning of the names of this process's scratch folders, for ``tempfile``.
+
+    ``sweep_scratch`` reads from it whether the process still runs.
+    """
     return f"sumo_adv-{_process_space()}-{os.getpid()}-"
 
 
 def sweep_scratch() -> None:
-    """Remove this user's scratch folders whose processes were killed, of which the system says that they are gone."""
+    """Remove this user's scratch folders whose processes no longer exist, for instance because they were killed."""
     if not hasattr(os, "getuid"):
         return
     with suppress(OSError), os.scandir(tempfile.gettempdir()) as entries:
@@ -95,7 +110,10 @@ def sweep_scratch() -> None:
 
 
 def _process_space() -> int:
-    """The number of the space in which process ids count; containers that share a temporary folder have others."""
+    """Return the number of the namespace of process ids, 0 if unknown.
+
+    Containers that share a temporary folder have different namespaces.
+    """
     try:
         return Path("/proc/self/ns/pid").stat().st_ino
     except OSError:
@@ -113,7 +131,10 @@ def _runs(process: int) -> bool:
 
 
 def plain_cell(value: Any) -> Any:
-    """A cell of a table for people: a text that a spreadsheet would take for a formula begins with an apostrophe."""
+    """Return a cell of a table for people.
+
+    A text that a spreadsheet would take as a formula gets an apostrophe in front.
+    """
     if not isinstance(value, str) or not value.startswith(FORMULA):
         return value
     try:
@@ -124,16 +145,20 @@ def plain_cell(value: Any) -> Any:
 
 
 def cell_text(cell: str) -> str:
-    """What ``plain_cell`` was given, from the text of a cell."""
+    """Return the text that ``plain_cell`` was given, from the text of a cell."""
     return cell[1:] if cell.startswith("'") and cell[1:].startswith(FORMULA) else cell
 
 
 class StorageError(SumoAdvError):
-    """The results cannot be written: no episode can."""
+    """The disk is full, so no episode can write its results."""
 
 
 def storage_error(error: OSError, place: Path) -> SumoAdvError:
-    """The error as a sentence about ``place``."""
+    """Describe an error of the file system in a sentence about ``place``.
+
+    Returns:
+        A StorageError if the disk is full, otherwise a UsageError.
+    """
     if error.errno in FULL:
         return StorageError(
             f"There is no space left to write {place}; free some and say the same again: what finished is kept."
@@ -142,7 +167,7 @@ def storage_error(error: OSError, place: Path) -> SumoAdvError:
 
 
 def is_storage_error(error: BaseException) -> bool:
-    """Whether it comes from a disk that is full or may not be written, directly or as its cause."""
+    """Return whether an error, or its cause, comes from a disk that is full or not writable."""
     cause = error if isinstance(error, OSError) else error.__cause__
     return isinstance(cause, OSError) and cause.errno in (*FULL, *WRITE_REFUSED)
 
@@ -156,17 +181,31 @@ def keep_newest(folders: Iterable[Path], count: int) -> None:
 
 @contextmanager
 def sentences(place: Path) -> Iterator[None]:
-    """Within it, errors of the file system are raised as sentences about ``place``."""
+    """Raise errors of the file system as sentences about ``place``.
+
+    Raises:
+        StorageError: The disk is full.
+        UsageError: ``place`` cannot be written.
+        BrokenPipeError: The reader of this program's output has gone. It is raised unchanged.
+    """
     try:
         yield
-    except BrokenPipeError:  # whoever reads our output has gone
+    except BrokenPipeError:  # the reader of our output has gone
         raise
     except OSError as error:
         raise storage_error(error, place) from error
 
 
 def write_whole(target: Path, write: Callable[[Path], Any]) -> None:
-    """``write`` fills a file beside ``target``, which then takes its place. Raises OSError; nothing half-written."""
+    """Write a file whole or not at all.
+
+    Args:
+        target: The file. An existing file is replaced.
+        write: Fills a temporary file beside ``target``, which then takes its place.
+
+    Raises:
+        OSError: The file cannot be written. Nothing half-written is left.
+    """
     handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
     os.close(handle)
     part = Path(name)
@@ -182,22 +221,29 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> None:
 
 
 def write_text(target: Path, text: str) -> None:
-    """A text file, whole or not at all. Raises OSError."""
+    """Write a text file whole or not at all.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     write_whole(target, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """JSON that any reader takes, with a line end; numbers that are not finite become null, unknown values text."""
+    """Return JSON that any reader accepts, with a line end.
+
+    Numbers that are not finite become null. Values of unknown types become text.
+    """
     return json.dumps(_plain(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str) + "\n"
 
 
 def toml_text(text: str) -> str:
-    """A basic string of TOML: JSON's, with DEL escaped too."""
+    """Return a text as a basic string of TOML, which is JSON's with DEL escaped as well."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def toml_value(value: Any) -> str:
-    """A string, truth, number or list as TOML writes it; a mapping becomes an inline table."""
+    """Return a string, truth value, number or list as TOML. A mapping becomes an inline table."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -210,7 +256,11 @@ def toml_value(value: Any) -> str:
 
 
 def toml_lines(table: Mapping[str, Any]) -> list[str]:
-    """A table's keys, a line each; None is left out. Keys must be bare: letters, digits, ``_`` and ``-``."""
+    """Return the keys of a table as lines of TOML. Keys with the value None are left out.
+
+    Args:
+        table: The table. Its keys must be bare: letters, digits, ``_`` and ``-``.
+    """
     return [f"{key} = {toml_value(value)}" for key, value in table.items() if value is not None]
 
 
@@ -228,13 +278,20 @@ _SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")
 
 
 def refuse_super_journal(database: Path) -> None:
-    """Raises UsageError for a SQLite database whose journal names a file that SQLite would delete; OSError.
+    """Refuse a SQLite database whose journal names a file that SQLite would delete.
 
-    SQLite undoes what a journal beside a database holds when it opens the database. If the last bytes of the journal
-    name the super-journal of a transaction over several databases, it then deletes the file of that name, whatever it
+    When SQLite opens a database, it undoes the changes in a journal beside it. If the last bytes of the journal name
+    the super-journal of a transaction over several databases, SQLite then deletes the file of that name, whatever it
     is. This program makes no such transaction.
 
     Source: "File Format For SQLite Databases", section 3; ``readSuperJournal`` and ``pager_delsuper`` in pager.c.
+
+    Args:
+        database: The database.
+
+    Raises:
+        UsageError: The journal names another file.
+        OSError: The journal cannot be read.
     """
     place = database.resolve()
     journal = place.with_name(f"{place.name}-journal")
@@ -254,10 +311,21 @@ def refuse_super_journal(database: Path) -> None:
 
 @contextmanager
 def held(file: Path) -> Iterator[bool]:
-    """Whether no other process holds ``file``, which is then held until the end, at the latest that of the process.
+    """Try to hold a file against other processes until the context, or at the latest this process, ends.
 
-    SQLite's lock, since every system has it; on a disk without locks no other process is seen. The file stays behind,
-    empty. Raises OSError; UsageError: a journal beside it is not of this program."""
+    SQLite's lock is used because every system has it. On a disk without locks, other processes are not noticed. The
+    file stays behind, empty.
+
+    Args:
+        file: The file; it is made if it is missing.
+
+    Yields:
+        Whether no other process holds the file.
+
+    Raises:
+        OSError: The file cannot be made.
+        UsageError: A journal beside the file is not from this program.
+    """
     file.touch()
     refuse_super_journal(file)
     with closing(sqlite3.connect(file, timeout=0.0, isolation_level=None)) as lock:

@@ -1,4 +1,4 @@
-"""Plane geometry: angles, the ego-centred frame of the paper, and paths sampled at equal distances."""
+"""Compute plane geometry: angles, the paper's ego-centred frame, and paths sampled at equal distances."""
 
 from __future__ import annotations
 
@@ -12,48 +12,68 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 
 PATH_STEP_M = 0.5  # between samples of a path
-HEADING_SMOOTHING_M = 1.5  # over which headings are averaged
-PATH_BRAKING_M_S2 = 4.0  # before bends
-# passes of the average over a path with a bend that is too tight, each on top of the last
+HEADING_SMOOTHING_M = 1.5  # length over which headings are averaged
+PATH_BRAKING_M_S2 = 4.0  # deceleration before bends
+# numbers of smoothing passes for a path with a bend that is too tight; each adds to those before it
 ROUNDING_PASSES = (2, 2, 3, 3, 4, 4, 6, 8)
 LAYER_HEIGHT_M = 3.0
-"""How much higher or lower another road may be at one place to be the same road: less than the clearance of a bridge,
-more than what two lanes of one road, or two ends of a long vehicle, differ."""
+"""Largest difference of heights at one place on the same road.
+
+It is less than the clearance of a bridge. It is more than the difference between two lanes of a road, or between two
+ends of a long vehicle.
+"""
 Number = TypeVar("Number", float, Floats)
 
 
 def read_only(values: Any) -> Floats:
-    """A copy of an array, of float, that cannot be changed; a view of it, whose flag cannot be set back either."""
+    """Copy an array as float. The copy cannot be changed: it is a view, so its flag cannot be reset either."""
     made = np.array(values, float)
     made.setflags(write=False)
     return made.view()
 
 
 def wrap(angle: Number) -> Number:
-    """An angle [rad] in (-pi, pi]: a float, or an array of any shape."""
+    """Wrap an angle [rad], a float or an array of any shape, to (-pi, pi]."""
     return math.pi - (math.pi - angle) % math.tau
 
 
 def wrap_below_pi(angle: Number) -> Number:
-    """An angle [rad] in [-pi, pi): a float, or an array of any shape.
+    """Wrap an angle [rad], a float or an array of any shape, to [-pi, pi).
 
-    The metrics use this half-open interval. Its last digit is rounded otherwise than that of :func:`wrap`, so that one
-    cannot stand for the other without a change of recorded results.
+    The metrics use this half-open interval. Its last digit is rounded differently than that of :func:`wrap`, so
+    replacing one by the other would change recorded results.
     """
     return (angle + math.pi) % math.tau - math.pi
 
 
 def same_layer(z: Any, other: Any) -> Any:
-    """Whether two heights [m] are on the same layer: numbers, or arrays that broadcast. False for NaN."""
+    """Return whether two heights are on the same layer.
+
+    Args:
+        z: A height [m]; a number, or an array that broadcasts with ``other``.
+        other: The other height [m].
+
+    Returns:
+        Truth values. NaN is on no layer.
+    """
     return abs(z - other) <= LAYER_HEIGHT_M
 
 
 def crosses_box(
     eye: tuple[Any, Any], point: tuple[Any, Any], box: tuple[Any, Any, Any], half: tuple[Any, Any]
 ) -> Bools:
-    """Whether the lines from ``eye`` to ``point`` (x, y) pass through boxes; none does if the eye is in the box.
+    """Return whether lines of sight pass through boxes. No line does if the eye is inside the box.
 
-    box: centre x, y [m] and heading [rad]; half: half of length and width [m]. Numbers, or arrays that broadcast.
+    All values are numbers, or arrays that broadcast.
+
+    Args:
+        eye: x and y of the start of the line [m].
+        point: x and y of its end [m].
+        box: x and y of the box's centre [m], and its heading [rad].
+        half: Half of the box's length and half of its width [m].
+
+    Returns:
+        Truth values of the broadcast shape.
     """
     c, s = np.cos(box[2]), np.sin(box[2])
     starts, steps = [], []
@@ -72,7 +92,14 @@ def crosses_box(
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a vehicle is put after a step: box centre [m], heading [rad], speed [m/s]."""
+    """The pose and speed of a vehicle after a step.
+
+    Attributes:
+        x: The x of the box's centre [m].
+        y: The y of the box's centre [m].
+        heading: The heading [rad].
+        speed: The speed [m/s].
+    """
 
     x: float
     y: float
@@ -82,10 +109,15 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The ego's pose at the trigger as a frame: x forward, y left (the paper's R(-theta)(s - s_0)).
+    """The frame of the ego's pose at the trigger: x forward, y left (the paper's R(-theta)(s - s_0)).
 
-    hand: 1; -1 in left-hand traffic. Then y is to the right and headings are clockwise, so that planners see the
-    mirrored, right-hand scene."""
+    Attributes:
+        x: The x of the origin in the world [m].
+        y: The y of the origin in the world [m].
+        heading: The heading of the x axis in the world [rad].
+        hand: 1, or -1 in left-hand traffic. With -1, y is to the right and headings are clockwise, so planners see the
+            mirrored, right-hand scene.
+    """
 
     x: float
     y: float
@@ -93,13 +125,31 @@ class Frame:
     hand: float = 1.0
 
     def to_local(self, x: Number, y: Number, heading: Number) -> tuple[Number, Number, Number]:
-        """World pose to this frame: floats, or arrays of any shape."""
+        """Transform a pose from the world into this frame.
+
+        Args:
+            x: x in the world [m]; a float, or an array of any shape.
+            y: y in the world [m], of the same shape.
+            heading: The heading in the world [rad], of the same shape.
+
+        Returns:
+            x [m], y [m] and heading [rad] in this frame.
+        """
         c, s = math.cos(self.heading), math.sin(self.heading)
         dx, dy = x - self.x, y - self.y
         return c * dx + s * dy, self.hand * (-s * dx + c * dy), self.hand * wrap(heading - self.heading)
 
     def to_world(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
-        """A pose of this frame to the world."""
+        """Transform a pose from this frame into the world.
+
+        Args:
+            x: x in this frame [m].
+            y: y in this frame [m].
+            heading: The heading in this frame [rad].
+
+        Returns:
+            x [m], y [m] and heading [rad] in the world.
+        """
         c, s = math.cos(self.heading), math.sin(self.heading)
         y, heading = self.hand * y, self.hand * heading
         return self.x + c * x - s * y, self.y + s * x + c * y, wrap(heading + self.heading)
@@ -109,8 +159,13 @@ class Frame:
 class Path:
     """A line on the ground, sampled every ``PATH_STEP_M`` metres from station 0. Arrays are ``(n,)``.
 
-    x, y [m]; heading [rad], unwrapped; curvature [1/m]; speed: the fastest a car takes the bends ahead [m/s]; z: height
-    of the road [m], a number where all is flat.
+    Attributes:
+        x: The x of the samples [m].
+        y: The y of the samples [m].
+        heading: The headings [rad], unwrapped.
+        curvature: The curvatures [1/m].
+        speed: The highest speed at which a car takes the bends ahead [m/s].
+        z: The height of the road [m]; a number if everything is flat.
     """
 
     x: Floats
@@ -122,19 +177,37 @@ class Path:
 
     @property
     def length(self) -> float:
-        """Length in m."""
+        """The length of the path [m]."""
         return (len(self.x) - 1) * PATH_STEP_M
 
     def height(self, s: Any) -> Any:
-        """The height of the road [m] at stations ``s`` (any shape)."""
+        """Return the height of the road [m] at stations ``s`` [m] of any shape; a number if everything is flat."""
         return np.interp(s, PATH_STEP_M * np.arange(len(self.x)), self.z) if np.ndim(self.z) else self.z
 
     def at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
-        """x, y, heading at stations ``s`` and offsets ``d`` (left positive); straight on beyond both ends."""
+        """Return positions at stations and offsets. Beyond both ends, the path continues straight.
+
+        Args:
+            s: Stations [m], of any shape.
+            d: Offsets [m], left positive.
+
+        Returns:
+            x [m], y [m] and heading [rad].
+        """
         return _place((self.x, self.y, self.heading), 0, len(self.x) - 1, np.asarray(s, float), d)
 
     def project(self, x: float, y: float, near: float | None = None, reach: float = 15.0) -> tuple[float, float]:
-        """Station and offset of a point. ``near``: search only within ``reach`` metres of that station."""
+        """Project a point onto the path.
+
+        Args:
+            x: The x of the point [m].
+            y: The y of the point [m].
+            near: A station [m] near which the projection is sought; None searches the whole path.
+            reach: The distance from ``near`` within which it is sought [m].
+
+        Returns:
+            The station and the offset of the point [m], left positive.
+        """
         low, high = 0, len(self.x)
         if near is not None:
             low = min(max(0, int((near - reach) / PATH_STEP_M)), high - 2)
@@ -151,7 +224,7 @@ class Path:
         return float(station), float(-math.sin(ph) * (x - px) + math.cos(ph) * (y - py))
 
     def extended(self, metres: float) -> Path:
-        """The path with a straight piece added at its end."""
+        """Return the path with a straight piece of ``metres`` [m], rounded up to whole steps, at its end."""
         n = max(1, math.ceil(metres / PATH_STEP_M))
         k = PATH_STEP_M * np.arange(1, n + 1)
         c, s = math.cos(self.heading[-1]), math.sin(self.heading[-1])
@@ -165,9 +238,10 @@ class Path:
 
 
 class Paths:
-    """Several paths, looked up at once."""
+    """Several paths that are looked up at once."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
+        """Join the samples of the paths into tables."""
         longest = max(len(p.x) for p in paths)
         tables = [[np.pad(a, (0, longest - len(a)), "edge") for a in (p.x, p.y, p.heading)] for p in paths]
         self._tables = tuple(np.concatenate([t[k] for t in tables]) for k in range(3))
@@ -175,15 +249,26 @@ class Paths:
         self._last = np.array([len(p.x) - 1 for p in paths])
 
     def at(self, path: Any, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
-        """x, y, heading at stations and offsets of the paths with places ``path``; see :meth:`Path.at`."""
+        """Return positions at stations and offsets of several paths; see :meth:`Path.at`.
+
+        Args:
+            path: The indices of the paths.
+            s: Stations [m].
+            d: Offsets [m], left positive.
+
+        Returns:
+            x [m], y [m] and heading [rad].
+        """
         return _place(self._tables, self._first[path], self._last[path], s, d)
 
 
 def _place(
     tables: tuple[Floats, ...], first: Any, last: Any, s: Floats, d: Floats | float
 ) -> tuple[Floats, Floats, Floats]:
-    """x, y, heading at stations and offsets. A path begins at the place ``first`` in each of the ``tables`` and has
-    ``last`` more samples."""
+    """Return x, y and heading at stations and offsets.
+
+    A path begins at the index ``first`` of each table and has ``last`` more samples.
+    """
     u = np.minimum(np.maximum(s / PATH_STEP_M, 0.0), last)
     i = np.minimum(u.astype(np.intp), last - 1)
     w = u - i
@@ -196,10 +281,19 @@ def _place(
 def make_path(
     points: Sequence[tuple[float, float]] | Floats, *, lateral: float = 3.2, tightest: float = math.inf
 ) -> Path:
-    """A path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights [m].
+    """Make a path through points.
 
-    The bend speed is sqrt(lateral / curvature) with a backward pass at ``PATH_BRAKING_M_S2``. Bends with more than
-    ``tightest`` [1/m] are rounded, as by a driver that cannot turn as sharply as a lane's centre line."""
+    The bend speed is sqrt(lateral / curvature), with a backward pass at ``PATH_BRAKING_M_S2``.
+
+    Args:
+        points: The points ``(n, 2)`` [m], or ``(n, 3)`` with heights.
+        lateral: The lateral acceleration in bends [m/s2].
+        tightest: The largest curvature [1/m]. Tighter bends are rounded, as by a driver that cannot turn as sharply as
+            a lane's centre line.
+
+    Returns:
+        The path.
+    """
     p = np.asarray(points, float)
     p = p[np.concatenate([[True], np.hypot(*np.diff(p[:, :2], axis=0).T) > 1e-3])]
     if len(p) < 2:
@@ -222,25 +316,34 @@ def make_path(
 
 
 def stations(x: Floats, y: Floats) -> Floats:
-    """Metres from the first point along a polyline."""
+    """Return the distance of each point of a polyline from its first point, along the polyline [m]."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
 
 
 def _even(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """A polyline's points every ``PATH_STEP_M`` metres, at least two."""
+    """Resample a polyline every ``PATH_STEP_M`` metres, with at least two points."""
     station = stations(x, y)
     s = PATH_STEP_M * np.arange(max(2, int(station[-1] / PATH_STEP_M) + 1))
     return np.interp(s, station, x), np.interp(s, station, y)
 
 
 def _turning(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Heading [rad, unwrapped] and curvature [1/m] of evenly spaced points."""
+    """Compute heading [rad, unwrapped] and curvature [1/m] of evenly spaced points."""
     heading = _smooth(np.unwrap(np.arctan2(np.gradient(y), np.gradient(x))))
     return heading, np.gradient(heading, PATH_STEP_M)
 
 
 def along(shape: Floats, x: Floats | float, y: Floats | float) -> Floats:
-    """Metres along a polyline ``(k, 2)`` to the points on it that are nearest to (x, y): floats, or any shape."""
+    """Measure how far along a polyline the nearest place to each point is.
+
+    Args:
+        shape: The polyline ``(k, 2)`` [m].
+        x: The points' x [m], a float or an array of any shape.
+        y: The points' y [m], of the same shape.
+
+    Returns:
+        The distances along the polyline [m], of the points' shape.
+    """
     share, distance = seen_from_segments(shape, x, y)
     k, length = distance.argmin(axis=-1), np.hypot(*np.diff(shape, axis=0).T)
     before = np.concatenate([[0.0], np.cumsum(length)])
@@ -256,11 +359,11 @@ def seen_from_segments(
         shape: The polyline ``(k, 2)`` [m].
         x: The points' x [m], of any shape.
         y: The points' y [m], of the same shape.
-        straight_on: Whether the first and the last segment go on without an end.
+        straight_on: Whether the first and the last segment continue without an end.
 
     Returns:
-        The share of the segment up to the place, from 0 to 1, and the distance [m]; both have the points' shape and an
-        axis more, ``(..., k - 1)``.
+        The share of the segment up to the place, from 0 to 1, and the distance [m]. Both have the points' shape with
+            one more axis, ``(..., k - 1)``.
     """
     x, y, a, step = np.asarray(x)[..., None], np.asarray(y)[..., None], shape[:-1], np.diff(shape, axis=0)
     length = np.hypot(*step.T)
@@ -273,7 +376,7 @@ def seen_from_segments(
 
 
 def _smooth(values: Floats) -> Floats:
-    """Moving average over ``HEADING_SMOOTHING_M`` metres that keeps both ends."""
+    """Average over ``HEADING_SMOOTHING_M`` metres and keep both ends."""
     half = round(HEADING_SMOOTHING_M / PATH_STEP_M / 2 + 0.5)
     if len(values) < 2 * half + 1:
         return values
@@ -284,7 +387,7 @@ def _smooth(values: Floats) -> Floats:
 
 
 def _bend_speed(curvature: Floats, lateral: float) -> Floats:
-    """min over all places ahead of sqrt(v^2 + 2 b distance), v = sqrt(lateral / curvature)."""
+    """Compute the minimum over all places ahead of sqrt(v^2 + 2 b distance), v = sqrt(lateral / curvature)."""
     square = np.minimum(lateral / np.maximum(np.abs(curvature), 1e-4), 3600.0)
     gained = 2 * PATH_BRAKING_M_S2 * PATH_STEP_M * np.arange(len(square))
     least = np.minimum.accumulate((square + gained)[::-1])[::-1]
@@ -294,11 +397,20 @@ def _bend_speed(curvature: Floats, lateral: float) -> Floats:
 def quintics(
     start: tuple[Any, Any, Any], target: Floats, duration: Floats, times: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Offset [m], its rate and second derivative by ``times`` (k,) [s], ``(..., k)``, and the integral of the third
-    one's square [m2/s5], of quintic moves to rest on ``target`` [m] after ``duration`` [s], ``(...)``.
+    """Compute quintic lateral moves that come to rest on a target offset.
 
-    start: offset, rate and second derivative now; floats, or arrays that go with ``target``. Werling et al. 2010,
-    "Optimal trajectory generation for dynamic street scenarios in a Frenet frame".
+    Source: Werling et al. 2010, "Optimal trajectory generation for dynamic street scenarios in a Frenet frame".
+
+    Args:
+        start: The present offset [m], its rate [m/s] and its second derivative [m/s2]; floats, or arrays that broadcast
+            with ``target``.
+        target: The target offsets [m], ``(...)``.
+        duration: The durations of the moves [s], ``(...)``.
+        times: The times at which the moves are evaluated [s], ``(k,)``.
+
+    Returns:
+        Offset [m], rate [m/s] and second derivative [m/s2], each ``(..., k)``, and the integral of the squared third
+            derivative [m2/s5], ``(...)``.
     """
     (d0, rate, second), t = start, duration
     # d = d0 + rate u + second u^2 / 2 + c3 u^3 + c4 u^4 + c5 u^5, at rest on the target at u = t

@@ -1,4 +1,4 @@
-"""What an attempt must come to for an episode to have succeeded: a level, a severity, or a near miss."""
+"""Define what an attempt must reach for an episode to succeed: a level, a severity, or a near miss."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from sumo_adv.datatypes import Level, Verdict
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What is wanted of an attempt.
+    """The goal of an attempt.
 
-    level: it must be reached. min_delta_v: the least delta-v of the ego [m/s]; above 0 only a collision will do.
-    ttc: a band [s]. The attempt must then be a near miss: no collision, and its min TTC lies in the band.
+    Attributes:
+        level: The level that the attempt must reach.
+        min_delta_v: The smallest delta-v of the ego [m/s]. Above 0, only a collision succeeds.
+        ttc: A band [s]. If it is given, the attempt must be a near miss: no collision, and a minimum TTC in the band.
     """
 
     level: Level = Level.SERIOUS
@@ -20,10 +22,16 @@ class Goal:
     ttc: tuple[float, float] | None = None
 
     def reached(self, verdict: Verdict) -> Level:
-        """How far an attempt came towards the goal; at least ``level`` if it met the goal, and only then.
+        """Rate how far an attempt came towards the goal.
 
-        A near miss in the band counts as the highest level, any other attempt then as none. A collision below
-        ``min_delta_v`` counts as critical. An attempt with misfits stays below ``level``.
+        A near miss in the band counts as the highest level. With a band, any other attempt counts as none. A collision
+        below ``min_delta_v`` counts as critical. An attempt with misfits stays below ``level``.
+
+        Args:
+            verdict: The verdict on the attempt.
+
+        Returns:
+            The level. It is ``level`` or higher if and only if the attempt met the goal.
         """
         if verdict.misfits:
             return min(verdict.level, Level(max(self.level - 1, 0)))
@@ -36,21 +44,25 @@ class Goal:
         return verdict.level
 
     def met(self, verdict: Verdict) -> bool:
-        """Whether the attempt succeeded. An infeasible motion and a rear-end never do."""
+        """Return whether the attempt succeeded. Infeasible motions and rear-ends never do."""
         least = Level.COLLISION if self.min_delta_v > 0 else Level.NONE
         return not verdict.misfits and self.reached(verdict) >= max(self.level, least)
 
     @property
     def hard(self) -> str:
-        """The wanted delta-v in words; empty if there is none."""
+        """The wanted delta-v in words; empty if none is wanted."""
         return f" with a delta-v of {self.min_delta_v:g} m/s or more" if self.min_delta_v > 0 else ""
 
     def attack(self, level: Level) -> str:
-        """An attack that meets the goal, in words; ``level``: the named level."""
+        """Describe an attack that meets the goal.
+
+        Args:
+            level: The level to name.
+        """
         if self.ttc is not None:
             return f"near miss with a min TTC of {self.ttc[0]:g} to {self.ttc[1]:g} s"
         return f"{level} attack{self.hard}"
 
     def __str__(self) -> str:
-        """The goal in words."""
+        """Return the goal in words."""
         return self.attack(self.level) if self.ttc is not None else f"{self.level}{self.hard}"

@@ -1,4 +1,4 @@
-"""The schema of ``outcome.json``: which files this program reads, and what becomes of one of schema 1."""
+"""Define the schema of ``outcome.json``, and migrate files of schema 1."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ GONE_FROM_OUTCOME = (
     "avoidable", "hazard_time", "kind", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting",
 )  # fmt: skip
 GONE_FROM_IMPACT = ("delta_v", "ego_side")
-"""Keys of schema 1 that schema 2 does not have; docs/verdicts.md says what to read instead."""
-LEVELS_VERSION = 2  # of the verdict in a file of schema 1: earlier ones have no level
+"""Keys of schema 1 that schema 2 does not have. docs/verdicts.md says what replaces them."""
+LEVELS_VERSION = 2  # ``verdict_version`` of files of schema 1 that have levels
 
 
 def check_schema(document: Mapping[str, Any], file: Path, packs: Path | None = None) -> None:
@@ -24,8 +24,8 @@ def check_schema(document: Mapping[str, Any], file: Path, packs: Path | None = N
 
     Args:
         document: The content of ``outcome.json``.
-        file: Where it lies.
-        packs: The campaign's folder, if the file is in one of its packs.
+        file: The path of the file.
+        packs: The campaign's folder if the file is in one of its packs, otherwise None.
 
     Raises:
         UsageError: The file has schema 1.
@@ -39,11 +39,14 @@ def check_schema(document: Mapping[str, Any], file: Path, packs: Path | None = N
 
 
 def migrated(document: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """Return a file of schema 1 as one of schema 2. Its figures are kept as they are.
+    """Convert a file of schema 1 to schema 2. Its figures are kept as they are.
 
     Args:
         document: The content of ``outcome.json``.
-        file: Where it lies.
+        file: The path of the file.
+
+    Returns:
+        The content in schema 2.
 
     Raises:
         UsageError: The file is so old that it has no levels.
@@ -64,7 +67,7 @@ def migrated(document: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def _in_loop(verdict: Mapping[str, Any]) -> dict[str, str] | None:
-    """Return the answers in the loop of a file that has those in the simulation as ``references``."""
+    """Return the in-loop answers of a file that has them as simulated ``references``."""
     if verdict["references"] is None:
         return None
     answers = verdict["references"] if verdict["simulated"] else {}

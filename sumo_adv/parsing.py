@@ -1,7 +1,8 @@
-"""TOML, JSON and packed files from any source: plain data within limits, or an error with a reason in a few words.
+"""Parse TOML, JSON and packed files from any source into plain data within limits.
 
-Python's own parsers also take what no format allows or nothing later can hold: whole numbers of any length, NaN,
-characters that end a path, tables that nest until the interpreter's stack ends; and they unpack 3 MB into 3 GB.
+Python's own parsers also accept what no format allows or later code cannot hold: whole numbers of any length, NaN,
+characters that end a path, and tables that nest until the interpreter's stack ends. They unpack 3 MB into 3 GB. Errors
+give the reason in a few words.
 """
 
 from __future__ import annotations
@@ -21,35 +22,43 @@ from sumo_adv.errors import UsageError
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-MAX_INTEGER = 2**63 - 1  # of TOML and SQLite; within any float
-MAX_NESTING = 100  # tables and lists within one another
-MAX_DOCUMENT_BYTES = 64 * 2**20  # of a TOML or JSON file
-MAX_UNPACKED_BYTES = 512 * 2**20  # of a packed table
-MAX_SUMO_FILE_BYTES = 4 * 2**30  # of a network or demand, unpacked: those of large cities have 1 GB
-_UNPACKED_PART_BYTES = 2**20  # that are unpacked at a time
+MAX_INTEGER = 2**63 - 1  # largest integer of TOML and SQLite; within the range of a float
+MAX_NESTING = 100  # levels of tables and lists
+MAX_DOCUMENT_BYTES = 64 * 2**20  # largest TOML or JSON file
+MAX_UNPACKED_BYTES = 512 * 2**20  # largest packed table, unpacked
+MAX_SUMO_FILE_BYTES = 4 * 2**30  # largest network or demand, unpacked: large cities have 1 GB
+_UNPACKED_PART_BYTES = 2**20  # unpacked at a time
 GZIP = b"\x1f\x8b"  # first bytes of a file packed by gzip
 BAD_GZIP = (gzip.BadGzipFile, EOFError, zlib.error)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The table of a TOML text, without the character NUL, which no path may hold. Raises ValueError."""
+    """Parse a TOML text.
+
+    Raises:
+        ValueError: The text is not TOML, exceeds a limit, or contains the character NUL, which no path may hold.
+    """
     return dict(_checked(tomllib.loads, text))
 
 
 def parse_json(text: str) -> Any:
-    """The value of a JSON text (RFC 8259: no NaN, no infinity). Raises ValueError."""
+    """Parse a JSON text (RFC 8259: no NaN, no infinity).
+
+    Raises:
+        ValueError: The text is not JSON, or exceeds a limit.
+    """
     return _checked(json.loads, text)
 
 
-_CHOICES = ("literal[", "constr", "constrained", "tuple[")  # how pydantic names the choices of a union in a location
+_CHOICES = ("literal[", "constr", "constrained", "tuple[")  # pydantic's names of a union's choices in a location
 
 
 def first_fault(error: ValidationError, known: Iterable[str] = ()) -> str:
-    """Return the first thing wrong with a file as the end of a sentence that begins with the file's name.
+    """Describe the first fault of a file, as the end of a sentence that begins with the file's name.
 
     Args:
-        error: What pydantic found.
-        known: The keys that the file may have, to name them beside an unknown one.
+        error: The error from pydantic.
+        known: The keys that the file may have. They are listed if a key is unknown.
     """
     detail = error.errors()[0]
     key = dotted(detail["loc"])
@@ -68,7 +77,15 @@ def dotted(location: Iterable[int | str]) -> str:
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """The table of the TOML file at ``path``. Raises UsageError: a sentence with ``what``, such as "The scenario"."""
+    """Read a TOML file.
+
+    Args:
+        path: The file.
+        what: The kind of file, for errors, such as "The scenario".
+
+    Raises:
+        UsageError: The file cannot be read, or is not valid TOML.
+    """
     try:
         return parse_toml(read_text(path))
     except OSError as error:
@@ -78,12 +95,25 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> Any:
-    """The value of the JSON file at ``path``. Raises OSError; ValueError: it is no JSON, or beyond the limits."""
+    """Read a JSON file.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: The file is not JSON, or exceeds a limit.
+    """
     return parse_json(read_text(path))
 
 
 def read_object(path: Path, what: str) -> dict[str, Any]:
-    """The object in the JSON file at ``path``. Raises UsageError: a sentence with ``what``, such as "The plan"."""
+    """Read the object in a JSON file.
+
+    Args:
+        path: The file.
+        what: The kind of file, for errors, such as "The plan".
+
+    Raises:
+        UsageError: The file cannot be read, or holds no object.
+    """
     try:
         value = read_json(path)
     except OSError as error:
@@ -96,14 +126,30 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
 
 
 def read_text(path: Path, most: int = MAX_DOCUMENT_BYTES) -> str:
-    """The text of a file, packed by gzip or not. Raises OSError; ValueError: it is no UTF-8, is damaged, or has
-    more than ``most`` bytes."""
+    """Read a text file, packed by gzip or not.
+
+    Args:
+        path: The file.
+        most: The largest size, unpacked [bytes].
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: The text is not UTF-8, the file is damaged, or it is larger than ``most``.
+    """
     return read_bytes(path, most).decode()
 
 
 def read_bytes(path: Path, most: int = MAX_UNPACKED_BYTES) -> bytes:
-    """What a file holds, unpacked if gzip has packed it. Raises OSError; ValueError: it is damaged, or has more than
-    ``most`` bytes."""
+    """Read a file, and unpack it if gzip has packed it.
+
+    Args:
+        path: The file.
+        most: The largest size, unpacked [bytes].
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: The file is damaged, or larger than ``most``.
+    """
     with path.open("rb") as file:
         packed = file.read(len(GZIP)) == GZIP
         file.seek(0)
