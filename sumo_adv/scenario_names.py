@@ -1,4 +1,4 @@
-"""The names of traffic scenarios in three lists of the field, and which of them this program can show.
+"""Name traffic scenarios by three lists of the field, and say which of them this program can show.
 
 =========== =========================================================================================================
 list        source
@@ -12,7 +12,7 @@ Euro NCAP   test protocols AEB Car-to-Car 4.x and AEB/LSS VRU 4.x (2023), and th
             protocol Assisted Driving
 =========== =========================================================================================================
 
-``words/naming.py`` says which of them an attempt is.
+``words/naming.py`` decides which of them an attempt is.
 """
 
 from __future__ import annotations
@@ -65,8 +65,11 @@ NHTSA: Mapping[int, str] = {
     37: "Other",
 }
 NEVER_SHOWN = frozenset({1, 2, 3, 5, 6, 7, 8, 9, 10, 15, 17, 32, 33, 34, 35, 36})
-"""NHTSA's scenarios that no attack shows: failures, control loss, animals, objects, backing up, parking, and evasive
-action before the conflict. Stop signs (5) count as crossing paths (30) and turns (31)."""
+"""NHTSA's scenarios that no attack shows.
+
+These are failures, control loss, animals, objects, backing up, parking, and evasive action before the conflict. Stop
+signs (5) count as crossing paths (30) and turns (31).
+"""
 
 
 class EgoBehaviour(StrEnum):
@@ -77,8 +80,10 @@ class EgoBehaviour(StrEnum):
 
 
 class Disturbance(StrEnum):
-    """Motions of the other vehicle in ISO 34502. ``DECELERATION`` includes a vehicle beside an ego that wants to change
-    lanes, at its speed (sync)."""
+    """Motions of the other vehicle in ISO 34502.
+
+    ``DECELERATION`` includes a vehicle that drives beside an ego that wants to change lanes, at the ego's speed (sync).
+    """
 
     CUT_IN = "cut-in"
     CUT_OUT = "cut-out"
@@ -87,7 +92,7 @@ class Disturbance(StrEnum):
 
 
 def disturbance(geometry: RoadGeometry, behaviour: EgoBehaviour, motion: Disturbance) -> str:
-    """The name of one of the 24 disturbances."""
+    """Return the name of one of the 24 disturbances."""
     return f"{geometry}, {behaviour}, {motion}"
 
 
@@ -119,17 +124,17 @@ EURO_NCAP: Mapping[str, str] = {
 }
 LISTS = ("NHTSA", "ISO 34502", "Euro NCAP")
 COLUMNS = ("motion", "nhtsa", "iso_34502", "euro_ncap")
-"""Columns of tables that name a scenario; empty where the list has no name for it."""
+"""Columns of tables that name a scenario. A cell is empty if the list has no name for it."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class ScenarioName:
-    """One entry of a list.
+    """An entry of a list.
 
     Attributes:
         list: One of ``LISTS``.
-        name: Its name there.
-        shown: Whether an attack of this program can show it.
+        name: The name of the scenario in the list.
+        shown: Whether an attack of this program can show the scenario.
     """
 
     list: str
@@ -146,7 +151,7 @@ EVERY: Sequence[ScenarioName] = (
 
 
 def columns_of(scenario: NamedScenario | None) -> dict[str, str | None]:
-    """The cells of ``COLUMNS``."""
+    """Return the cells of ``COLUMNS`` for a scenario; None for each cell without a name."""
     if scenario is None:
         return dict.fromkeys(COLUMNS)
     number = scenario.nhtsa
@@ -157,20 +162,23 @@ def columns_of(scenario: NamedScenario | None) -> dict[str, str | None]:
 
 
 def names_in(cells: Mapping[str, Any]) -> list[ScenarioName]:
-    """The entries that the cells of ``COLUMNS`` in a row name."""
+    """Return the entries that the cells of ``COLUMNS`` in a row name."""
     keys = dict(zip(COLUMNS[1:], LISTS, strict=True))
     return [ScenarioName(keys[key], str(cells[key])) for key in keys if cells.get(key)]
 
 
 def wanted(words: Iterable[str]) -> tuple[ScenarioName, ...]:
-    """The entries that words of a filter mean.
+    """Find the entries that the words of a filter mean.
 
     Args:
         words: Names of Euro NCAP (``CCFtap``), a motion of ISO 34502 (``cut-in``), a geometry or a behaviour (``merge
-            zone``), or NHTSA's number (``nhtsa-25``); upper and lower case are the same.
+            zone``), or NHTSA's number (``nhtsa-25``). Upper and lower case are the same.
+
+    Returns:
+        The entries, each once.
 
     Raises:
-        ValueError: A word is the name of no scenario that an attack can show; with a sentence.
+        ValueError: A word names no scenario that an attack can show. The message is a sentence.
     """
     chosen = list[ScenarioName]()
     for word in words:
@@ -187,7 +195,7 @@ def wanted(words: Iterable[str]) -> tuple[ScenarioName, ...]:
 
 
 def _means(word: str, entry: ScenarioName) -> bool:
-    """Whether a word in lower case means an entry: by its name, its number, or a part between commas."""
+    """Return whether a word in lower case means an entry: by its name, its number, or a part between commas."""
     name = entry.name.lower()
     if entry.list == "NHTSA":
         return word in (f"nhtsa-{name.split()[0]}", name, name.partition(" ")[2])
@@ -195,5 +203,5 @@ def _means(word: str, entry: ScenarioName) -> bool:
 
 
 def is_one_of(cells: Mapping[str, Any], names: Iterable[ScenarioName]) -> bool:
-    """Whether a row with the cells of ``COLUMNS`` is one of these scenarios."""
+    """Return whether the cells of ``COLUMNS`` in a row name one of these scenarios."""
     return not {(each.list, each.name) for each in names}.isdisjoint((n.list, n.name) for n in names_in(cells))

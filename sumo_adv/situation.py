@@ -1,6 +1,6 @@
-"""The situation at a trigger: what planners, trajectories and predictions need to know of it, in arrays.
+"""Describe the situation at a trigger in arrays, for planners, trajectories and predictions.
 
-It is made once an encounter from the road, the states up to the trigger and an unattacked run forked there, and is
+It is made once per encounter from the road, the states up to the trigger, and an unattacked run forked there. It is
 small enough to be sent between processes.
 """
 
@@ -17,8 +17,8 @@ from sumo_adv.datatypes import Bools, DriverModel, Floats, Track, VehicleState
 from sumo_adv.geometry import PATH_STEP_M, Frame, Path, same_layer, wrap
 from sumo_adv.road_users import UNPROTECTED_SPEEDS_M_S, RoadUser, road_user
 
-MIN_CROSSING_ANGLE_RAD = 0.35  # paths that meet at less merge
-NO_ARRIVAL_S = 1e3  # an arrival that is never
+MIN_CROSSING_ANGLE_RAD = 0.35  # paths that meet at a smaller angle merge
+NO_ARRIVAL_S = 1e3  # stands in for an arrival that never happens
 
 Signal = tuple[str, float, str]
 """A traffic light ahead of a vehicle: id, distance from its front bumper [m], SUMO's state letter (r, y, g, G ...)."""
@@ -26,10 +26,21 @@ Signal = tuple[str, float, str]
 
 @dataclass(frozen=True, slots=True)
 class PathConflict:
-    """Where a way of the BV meets the path of the ego: stations of both [m], the BV's pose there, the angle [rad]."""
+    """The place at which a way of a BV meets the path of the ego.
 
-    kind: str  # crossing | merging
-    movement: str  # straight | left | right | none
+    Attributes:
+        kind: ``crossing`` or ``merging``.
+        movement: The movement of the BV: ``straight``, ``left``, ``right`` or ``none``.
+        bv_s: The station on the BV's way [m].
+        ego_s: The station on the ego's path [m].
+        x: The x of the BV's way at the place [m].
+        y: The y of the BV's way at the place [m].
+        heading: The heading of the BV's way at the place [rad].
+        angle: The heading relative to the ego's path [rad].
+    """
+
+    kind: str
+    movement: str
     bv_s: float
     ego_s: float
     x: float
@@ -40,12 +51,20 @@ class PathConflict:
 
 @dataclass(frozen=True, slots=True)
 class ReferencePath:
-    """One path that a BV may take, with its place relative to the ego's path at every sample.
+    """A path that a BV may take, with its position relative to the ego's path at every sample.
 
-    ego_s, ego_d, ego_h: station [m], offset [m] and relative heading [rad] in the ego path's frame, ``(n,)``.
-    ``before_ego``: whether a vehicle on this path goes before an ego that has to give way, by SUMO's rules.
-    ``bay``: station [m] at which a turning vehicle waits on the junction for others, which ignore it there; inf if
-    there is none.
+    Attributes:
+        path: The path.
+        movement: The movement at the junction.
+        junction: The station at which the junction begins [m].
+        gives_way: Whether a vehicle on this path has to give way.
+        ego_s: Stations on the ego's path [m], ``(n,)``.
+        ego_d: Offsets from the ego's path [m], ``(n,)``.
+        ego_h: Headings relative to the ego's path [rad], ``(n,)``.
+        conflict: Where the path meets the ego's path; None if it does not.
+        before_ego: Whether, by SUMO's rules, a vehicle on this path goes before an ego that has to give way.
+        bay: The station at which a turning vehicle waits on the junction for others, which ignore it there [m]; inf if
+            there is none.
     """
 
     path: Path
@@ -61,51 +80,76 @@ class ReferencePath:
 
 
 def mirrored(movement: str, hand: float) -> str:
-    """The movement in right-hand traffic that one of ``hand`` (``Frame.hand``) mirrors."""
+    """Return the movement in right-hand traffic that corresponds to a movement.
+
+    Args:
+        movement: The movement.
+        hand: The ``Frame.hand`` of the traffic in which it is made.
+    """
     return {"left": "right", "right": "left"}.get(movement, movement) if hand < 0 else movement
 
 
 def fastest_of(speed: float) -> float:
-    """The highest speed [m/s] of a BV that has ``speed`` at the trigger: 40 % or 5 m/s more, whichever is more."""
+    """Return the highest speed of a BV with ``speed`` at the trigger [m/s]: 40 % or 5 m/s more, whichever is more."""
     return max(1.4 * speed, speed + 5.0)
 
 
 def top_speed(state: VehicleState) -> float:
-    """The highest speed [m/s] that a BV goes for: of a vehicle by its speed at the trigger, else that of its kind."""
+    """Return the highest speed that a BV goes for [m/s].
+
+    For a vehicle, it depends on the speed at the trigger; for a pedestrian or a cyclist, on the kind.
+    """
     return UNPROTECTED_SPEEDS_M_S.get(road_user(state)) or fastest_of(state.speed)
 
 
-MEET_AHEAD = ("crossing", "merging")  # relations of vehicles that the ego can meet only where their paths meet
+MEET_AHEAD = ("crossing", "merging")  # relations of vehicles that the ego can meet only at a conflict of paths
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A background vehicle that could be the adversary. Its ways begin where it is at the trigger."""
+    """A background vehicle that could be the adversary. Its ways begin at its position at the trigger.
+
+    Attributes:
+        state: The state at the trigger.
+        relation: ``leader``, ``follower``, ``neighbour``, ``oncoming``, ``crossing`` or ``merging``.
+        ways: The paths that it may take.
+        station: Its station on its ways [m], about 0.
+        offset: Its offset from its way [m].
+        turn: Its heading relative to its way [rad].
+        sides: The offset [m] of each lane beside it, and whether the lane has the ``same`` or the ``opposite``
+            direction.
+        risk: How dangerous it is, from 0 to 1.
+        unattacked: The index of its path without an attack; None if it is unknown.
+        hidden: Whether other boxes hide it from the ego.
+        hand: 1, or -1 in left-hand traffic.
+    """
 
     state: VehicleState
-    relation: str  # leader | follower | neighbour | oncoming | crossing | merging
+    relation: str
     ways: tuple[ReferencePath, ...]
-    station: float  # m along its ways, about 0
-    offset: float  # m from its way
-    turn: float  # rad, its heading against its way's
-    sides: tuple[tuple[float, str], ...]  # lanes beside it: offset [m], "same" | "opposite"
+    station: float
+    offset: float
+    turn: float
+    sides: tuple[tuple[float, str], ...]
     risk: float = 0.0
-    unattacked: int | None = None  # the index of its path without an attack, None if that is unknown
-    hidden: bool = False  # whether other boxes hide it from the ego
-    hand: float = 1.0  # -1 in left-hand traffic
+    unattacked: int | None = None
+    hidden: bool = False
+    hand: float = 1.0
 
     @property
     def fastest(self) -> float:
-        """The speed it goes for at most [m/s]."""
+        """The highest speed that it goes for [m/s]."""
         return top_speed(self.state)
 
     def applies(self) -> tuple[str, ...]:
-        """Words an intent's ``applies`` list is matched with; of a pedestrian or cyclist the kind, and whether it is
-        hidden from the ego."""
+        """Return the words that an intent's ``applies`` list is matched with.
+
+        For a pedestrian or a cyclist, they are the kind and whether it is hidden from the ego.
+        """
         user = road_user(self.state)
         if user is not RoadUser.VEHICLE:
             return (str(user), f"{user}_hidden") if self.hidden else (str(user),)
-        words = {self.relation} - set(MEET_AHEAD)  # these are said by the ways that do meet the ego's path
+        words = {self.relation} - set(MEET_AHEAD)  # added below for the ways that do meet the ego's path
         for way in self.ways:
             if way.conflict is not None:
                 movement = "straight" if way.movement in ("none", "u-turn") else mirrored(way.movement, self.hand)
@@ -115,8 +159,18 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class OnPath:
-    """A vehicle's unattacked motion in the ego path's frame by step from the trigger: station s, offset d of its centre
-    [m], heading [rad], speed [m/s], each ``(n,)``, nan while it is not there, or on another layer; its length [m]."""
+    """A vehicle's unattacked motion in the frame of the ego's path, by step from the trigger.
+
+    Arrays are ``(n,)``. They are nan while the vehicle is not in the simulation, or on another layer.
+
+    Attributes:
+        id: The id of the vehicle.
+        s: The station of its centre [m].
+        d: The offset of its centre [m].
+        heading: The heading relative to the path [rad].
+        speed: The speed [m/s].
+        length: The length of the vehicle [m].
+    """
 
     id: str
     s: Floats
@@ -128,8 +182,15 @@ class OnPath:
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """The ego without an attack: its path, its driver's model, and by step of ``dt`` from the trigger on its station
-    ``s`` [m], speed ``v`` [m/s] and acceleration ``a`` [m/s2], each ``(n,)``."""
+    """The ego without an attack, by step of ``dt`` from the trigger on. Arrays are ``(n,)``.
+
+    Attributes:
+        path: The ego's path.
+        s: The stations [m].
+        v: The speeds [m/s].
+        a: The accelerations [m/s2].
+        model: The model of the ego's driver.
+    """
 
     path: Path
     s: Floats
@@ -140,12 +201,16 @@ class Baseline:
 
 @dataclass(frozen=True, slots=True)
 class RoadAhead:
-    """The road along the ego's path. Stations are those of the path [m], inf where there is none.
+    """The road along the ego's path. Stations are along that path [m], inf if there is no such place.
 
-    sides: lanes beside the ego's lane: offset [m, left positive], "same" | "opposite". junction: station at which the
-    next junction begins; later: stations of the junctions behind it. bay: station at which the ego waits on the next
-    junction where it gives way (SUMO's internal junction). rule: SUMO's letter for the ego's right of way there
-    (``Connection.state``), empty if there is no junction.
+    Attributes:
+        lane_width: The width of the ego's lane [m].
+        sides: The offset [m, left positive] of each lane beside the ego's, and whether the lane has the ``same`` or the
+            ``opposite`` direction.
+        junction: The station at which the next junction begins.
+        later: The stations at which the junctions behind it begin.
+        bay: The station at which the ego waits on the next junction if it gives way (SUMO's internal junction).
+        rule: SUMO's letter for the ego's right of way there (``Connection.state``); empty if there is no junction.
     """
 
     lane_width: float
@@ -160,10 +225,13 @@ class RoadAhead:
 class Traffic:
     """The vehicles near the ego.
 
-    others: their motions without an attack from the trigger on. ahead: those that are ahead of the ego at some time, in
-    its lane or beside it. history: all motions over the last second or so, the ego's first. signals: by vehicle (the
-    ego and targets) the traffic lights ahead at the start of the encounter, nearest first. reacting: whether drivers
-    move the others and brake for an adversary; False where a log moves them.
+    Attributes:
+        others: Their motions without an attack, from the trigger on.
+        ahead: The vehicles that at some time are ahead of the ego, in its lane or beside it.
+        history: All motions over the last second or so, the ego's first.
+        signals: The traffic lights ahead of the ego and of each target at the start of the encounter, nearest first, by
+            vehicle.
+        reacting: Whether drivers move the others and brake for an adversary; False if a log moves them.
     """
 
     others: tuple[Track, ...] = ()
@@ -175,10 +243,19 @@ class Traffic:
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """The scene at one start time: the ego, the road ahead of it, the traffic near, and the possible adversaries.
+    """The scene at one start time: the ego, the road ahead of it, the traffic nearby, and the possible adversaries.
 
-    time: simulated time [s]; dt: step [s]; horizon: how far planners look ahead [s]. frame: the ego's pose, in which
-    planners get positions. left: steps until a log that is played back is over, inf without one.
+    Attributes:
+        time: The simulated time [s].
+        dt: The step [s].
+        horizon: How far planners look ahead [s].
+        frame: The ego's pose as the frame of the positions that planners get.
+        ego: The state of the ego.
+        baseline: The ego's motion without an attack.
+        road: The road ahead of the ego.
+        traffic: The vehicles near the ego.
+        targets: The possible adversaries, by id.
+        left: The number of steps until the end of a replayed log; inf without a log.
     """
 
     time: float
@@ -193,12 +270,23 @@ class Situation:
     left: float = math.inf
 
     def target_list(self) -> list[Target]:
-        """Targets, most dangerous first."""
+        """List the targets, most dangerous first."""
         return sorted(self.targets.values(), key=lambda t: (-t.risk, t.state.id))
 
 
 def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnPath:
-    """A track in the frame of the ego's ``path``, for ``steps`` steps from ``time``."""
+    """Express a track in the frame of the ego's path.
+
+    Args:
+        track: The track.
+        time: The time of the first step [s].
+        dt: The step [s].
+        steps: The number of steps.
+        path: The ego's path.
+
+    Returns:
+        The motion along the path.
+    """
     s, d, heading, speed = np.full((4, steps), math.nan)
     k = np.round((track.time - time) / dt).astype(np.intp)
     within = (k >= 0) & (k < steps) & level_with(track, path)
@@ -212,14 +300,23 @@ def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnP
 
 
 def level_with(track: Track, path: Path) -> Bools:
-    """At which states ``(n,)`` a vehicle is on the layer of a path, where it is nearest to it."""
+    """Return at which states ``(n,)`` of a track the vehicle is on the layer of the path where it is nearest to it."""
     if not np.ndim(track.z) and not np.ndim(path.z):
         return np.ones(len(track.time), bool)
     return np.asarray(same_layer(track.z, heights_along((path,), track.x, track.y)))
 
 
 def heights_along(paths: Sequence[Path], x: Floats, y: Floats) -> Floats | float:
-    """The heights [m] at points ``(n,)`` of the path that is nearest to each; a number where all is flat."""
+    """Return the height of the nearest path at each point.
+
+    Args:
+        paths: The paths.
+        x: The points' x [m], ``(n,)``.
+        y: The points' y [m], ``(n,)``.
+
+    Returns:
+        Heights [m], ``(n,)``; a number if all paths are flat.
+    """
     if not any(np.ndim(path.z) for path in paths):
         return paths[0].z
     nearest, heights = np.full(len(x), np.inf), np.zeros(len(x))
@@ -232,7 +329,15 @@ def heights_along(paths: Sequence[Path], x: Floats, y: Floats) -> Floats | float
 
 
 def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path: Path) -> ReferencePath:
-    """Describe a way relative to the ego's path and find where they meet."""
+    """Describe a way relative to the ego's path, and find where they meet.
+
+    Args:
+        path: The way.
+        movement: Its movement at the junction.
+        junction: The station at which the junction begins [m].
+        gives_way: Whether a vehicle on the way has to give way.
+        ego_path: The path of the ego.
+    """
     nearest = _nearest(path.x, path.y, ego_path)
     ex, ey, eh = ego_path.x[nearest], ego_path.y[nearest], ego_path.heading[nearest]
     along = np.cos(eh) * (path.x - ex) + np.sin(eh) * (path.y - ey)
@@ -242,12 +347,12 @@ def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path
     return ReferencePath(path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path))
 
 
-COARSE_STRIDE = 8  # samples of the ego's path between those that are looked at first
-POINTS_PER_BLOCK = 64  # larger arrays would be new memory every time, which costs more than the sums
+COARSE_STRIDE = 8  # samples of the ego's path per sample of the coarse search
+POINTS_PER_BLOCK = 64  # larger arrays would allocate new memory every time, which costs more than the sums
 
 
 def _nearest(x: Floats, y: Floats, ego_path: Path) -> NDArray[np.intp]:
-    """For each point the nearest sample of the ego's path: first every eighth, then those around the best."""
+    """Find the nearest sample of the ego's path to each point: first every eighth one, then those around the best."""
     px, py = ego_path.x[::COARSE_STRIDE], ego_path.y[::COARSE_STRIDE]
     around, last = np.arange(-COARSE_STRIDE, COARSE_STRIDE + 1), len(ego_path.x) - 1
     indices = np.empty(len(x), np.intp)
@@ -261,6 +366,7 @@ def _nearest(x: Floats, y: Floats, ego_path: Path) -> NDArray[np.intp]:
 
 
 def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, ego: Path) -> PathConflict | None:
+    """Find the first place at which a way crosses or joins the ego's path."""
     inside = (s > 1.0) & (s < ego.length - 1.0)
     if np.ndim(path.z) or np.ndim(ego.z):
         inside &= same_layer(path.z, ego.height(s))

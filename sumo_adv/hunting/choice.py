@@ -1,4 +1,4 @@
-"""Which inputs the next round of a hunt has: by the new failures that they brought, or by what was met least."""
+"""Choose the inputs of a hunt's next round: by the new failures that they brought, or by the scenarios met least."""
 
 from __future__ import annotations
 
@@ -19,9 +19,12 @@ def drawn_to_fail(
 
     Args:
         inputs: The inputs.
-        tries: By input the episodes so far; an input may be missing.
-        wins: By input the episodes that brought a new failure.
+        tries: The number of episodes so far, by input; an input may be missing.
+        wins: The number of episodes with a new failure, by input.
         random: The source of the draws.
+
+    Returns:
+        The drawn chance of each input.
     """
     drawn = {}
     for name in inputs:
@@ -33,14 +36,17 @@ def drawn_to_fail(
 def drawn_to_cover(inputs: Iterable[str], episodes: Iterable[Shown], random: Random) -> dict[str, float]:
     """Draw for each input how much its next episode adds to what was met least.
 
-    For each scenario that the input has shown, the chance that it shows it again is drawn, and divided by 1 more than
-    the number of episodes, of all inputs, that showed it. The chance of a scenario that the input has never shown is
-    drawn too, and counts as never met.
+    For each scenario that the input has shown, the chance that it shows it again is drawn. That chance is divided by 1
+    plus the number of episodes, over all inputs, that showed the scenario. The chance of a scenario that the input has
+    never shown is drawn as well, and counts as never met.
 
     Args:
         inputs: The inputs.
         episodes: The episodes so far.
         random: The source of the draws.
+
+    Returns:
+        The drawn value of each input.
     """
     tries, met = Counter[str](), Counter[ScenarioName]()
     shown: dict[str, Counter[ScenarioName]] = {}

@@ -1,4 +1,4 @@
-"""Distinct failures: one representative of each cell, the most serious one, and how many others it stands for."""
+"""Group the failures of a hunt into cells, and represent each cell by its most serious failure."""
 
 from __future__ import annotations
 
@@ -19,12 +19,20 @@ FAILURE_COLUMNS = (
     "right_of_way", "overlap", "warning", "near_touch", *SCENARIO,
 )  # fmt: skip
 NEAR_TOUCH_DELTA_V_M_S = 0.447
-"""Delta-v [m/s] (1 mph) below which a collision is a near-touch: it is listed apart, behind all others."""
+"""Delta-v [m/s] (1 mph) below which a collision is a near-touch. Near-touches are listed last, apart from others."""
 
 
 class FailureCell(NamedTuple):
-    """What makes two failures different: intent, relation of the adversary, kind of road, speed band of the ego, the
-    side of the ego that is hit, and the kind of cause (``metrics/cause.py``)."""
+    """The features that make two failures different.
+
+    Attributes:
+        intent: The intent of the attack.
+        relation: The relation of the adversary to the ego.
+        road: The kind of road.
+        speed_band: The speed band of the ego.
+        side: The side of the ego that is hit.
+        cause: The kind of cause (``metrics/cause.py``).
+    """
 
     intent: str
     relation: str
@@ -36,27 +44,50 @@ class FailureCell(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A cell with its representative. run: its folder; why: its cause in a sentence, empty where it is not known;
-    count: how many failures of the cell were found."""
+    """A cell with its representative. Features are None if they are not known.
+
+    Attributes:
+        cell: The cell.
+        level: The level of the failure.
+        delta_v: The delta-v of the ego [m/s].
+        network: The name of the input.
+        seed: The seed of the run.
+        adversary: The id of the adversary.
+        preventable_by: The reference drivers that avoid the collision.
+        run: The folder of the run.
+        why: The cause in a sentence; empty if it is not known.
+        robust: Whether most neighbours of the attack also succeed; None if none was simulated.
+        humanlike: Whether the adversary moved as a person could.
+        fault: Who was at fault: ``ego`` or ``adversary``.
+        red_light: Who passed a red light: ``adversary``, ``ego``, ``both`` or ``none``.
+        right_of_way: Who took the right of way from the other.
+        overlap: The overlap as a share of the narrower of the two touching faces.
+        warning: The time from the alarm of ``cc_human`` to the contact [s].
+        motion: What the adversary does; None for episodes of an earlier version.
+        nhtsa: The name of the scenario at NHTSA (``scenario_names.py``).
+        iso_34502: Its name in ISO 34502.
+        euro_ncap: Its name at Euro NCAP.
+        count: The number of failures found in the cell.
+    """
 
     cell: FailureCell
     level: Level
-    delta_v: float  # m/s, of the ego
+    delta_v: float
     network: str
     seed: int
     adversary: str
     preventable_by: str
     run: Path
     why: str = ""
-    robust: bool | None = None  # whether most of its neighbours succeed, too; None where none was simulated
-    humanlike: bool | None = None  # whether the adversary moved as a person could
-    fault: str | None = None  # ego | adversary
-    red_light: str | None = None  # who passed one: adversary | ego | both | none
-    right_of_way: str | None = None  # who took it from the other
-    overlap: float | None = None  # share of the touching face
-    warning: float | None = None  # s from the alarm of cc_human to the contact
-    motion: str | None = None  # what the adversary does; None for episodes of an earlier version
-    nhtsa: str | None = None  # the names of the scenario (``scenario_names.py``)
+    robust: bool | None = None
+    humanlike: bool | None = None
+    fault: str | None = None
+    red_light: str | None = None
+    right_of_way: str | None = None
+    overlap: float | None = None
+    warning: float | None = None
+    motion: str | None = None
+    nhtsa: str | None = None
     iso_34502: str | None = None
     euro_ncap: str | None = None
     count: int = 1
@@ -68,12 +99,17 @@ class Failure:
 
     @property
     def worth(self) -> tuple[bool, int, bool, bool, float]:
-        """Sorts failures, the one to look at first last: no near-touch, by level, robust and humanlike, by delta-v."""
+        """A key that sorts failures; the one to look at first comes last.
+
+        In this order, it compares whether the failure is more than a near-touch, its level, whether it is both robust
+        and humanlike, whether it is at least one of them, and its delta-v.
+        """
         robust, human = self.robust is True, self.humanlike is True
         return (not self.near_touch, int(self.level), robust and human, robust or human, self.delta_v)
 
     @property
     def words(self) -> str:
+        """The failure in a sentence."""
         c = self.cell
         does = f"{self.motion or c.intent} ({c.relation}, {c.road})"
         hit = f"{self.level}: {does}, hit on the {c.side} with {self.delta_v:.1f} m/s"
@@ -81,7 +117,15 @@ class Failure:
 
 
 def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
-    """The failure of an episode from its row of ``results.csv``; None if no valid collision counts."""
+    """Read the failure of an episode.
+
+    Args:
+        row: The episode's row of ``results.csv``.
+        runs: The folder of the runs.
+
+    Returns:
+        The failure; None if no collision of level ``valid`` or higher counts.
+    """
     level = level_named(row["level"])
     if level < Level.VALID:
         return None
@@ -104,7 +148,15 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
 
 
 def distinct(failures: Iterable[Failure]) -> list[Failure]:
-    """One failure of each cell, the one to look at first first (``Failure.worth``); of equals the first one found."""
+    """Choose one failure of each cell: the one to look at first (``Failure.worth``), or of equal ones the first one
+    found.
+
+    Args:
+        failures: All failures.
+
+    Returns:
+        The chosen failures, the one to look at first in front.
+    """
     cells: dict[FailureCell, Failure] = {}
     for failure in failures:
         best = cells.get(failure.cell)
@@ -117,7 +169,15 @@ def distinct(failures: Iterable[Failure]) -> list[Failure]:
 
 
 def table(found: Sequence[Failure], folder: Path) -> list[dict[str, Any]]:
-    """A row for each distinct failure, with ``FAILURE_COLUMNS``; ``folder``: of the hunt, paths count from it."""
+    """Make a row for each distinct failure.
+
+    Args:
+        found: The failures, in order of rank.
+        folder: The folder of the hunt. Paths are relative to it.
+
+    Returns:
+        The rows, with the keys ``FAILURE_COLUMNS``.
+    """
     return [
         {
             "rank": k + 1, "level": str(f.level), **f.cell._asdict(), "delta_v": round(f.delta_v, 3), "count": f.count,

@@ -1,4 +1,4 @@
-"""What the rounds of a hunt brought, from their folders: outcomes, attacks of further kinds, failures over time."""
+"""Read the rounds of a hunt from their folders: outcomes, attacks of further kinds, and failures over time."""
 
 from __future__ import annotations
 
@@ -24,12 +24,25 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def folder_of(hunt: Path, k: int) -> Path:
-    """The folder of a round, which is a campaign; k: its place, from 0."""
+    """Return the folder of a round, which is the folder of a campaign.
+
+    Args:
+        hunt: The folder of the hunt.
+        k: The index of the round, from 0.
+    """
     return hunt / ROUNDS_FOLDER / f"{k + 1:04d}"
 
 
 def further(runs: Path, rows: Rows) -> dict[str, list[Failure]]:
-    """By id of an episode, its attacks of further kinds; their folders lie in that of the run."""
+    """Read the attacks of further kinds of each episode. Their folders are inside the folder of the run.
+
+    Args:
+        runs: The folder of the runs.
+        rows: The rows of the episodes.
+
+    Returns:
+        The failures by id of the episode.
+    """
     more: dict[str, list[Failure]] = {}
     for row in rows:
         for folder in sorted((runs / str(row["id"]) / ATTACKS).glob("*")):
@@ -41,20 +54,35 @@ def further(runs: Path, rows: Rows) -> dict[str, list[Failure]]:
 
 
 def outcomes_of(runs: Path, rows: Rows) -> dict[str, Mapping[str, Any]]:
-    """What ``outcome.json`` of each episode says, by id."""
+    """Read the ``outcome.json`` of each episode.
+
+    Args:
+        runs: The folder of the runs.
+        rows: The rows of the episodes.
+
+    Returns:
+        The contents by id of the episode. Episodes without the file are left out.
+    """
     files = {str(row["id"]): runs / str(row["id"]) / OUTCOME_FILE for row in rows}
     return {name: read_object(file, "The outcome") for name, file in files.items() if file.is_file()}
 
 
 def cells_of(failures: Sequence[Failure]) -> frozenset[FailureCell]:
-    """The cells of failures, without near-touches."""
+    """Return the cells of failures that are more than near-touches."""
     return frozenset(failure.cell for failure in failures if not failure.near_touch)
 
 
 def kinds_by_encounter(hunt: Path) -> list[frozenset[FailureCell]]:
-    """The distinct failures of each encounter of a finished hunt, in its order; for an evaluation of its estimates.
+    """List the distinct failures of each encounter of a finished hunt, to evaluate the hunt's estimates.
 
-    Raises UsageError: a table is damaged.
+    Args:
+        hunt: The folder of the hunt.
+
+    Returns:
+        The cells of each encounter, in the hunt's order. Failed episodes are left out.
+
+    Raises:
+        UsageError: A table is damaged.
     """
     samples = []
     for file in sorted((hunt / ROUNDS_FOLDER).glob(f"*/{RESULTS_FILE}")):
@@ -71,12 +99,12 @@ def kinds_by_encounter(hunt: Path) -> list[frozenset[FailureCell]]:
 
 @dataclass(frozen=True, slots=True)
 class AfterRound:
-    """How far a hunt was after a round.
+    """The state of a hunt after a round.
 
     Attributes:
-        minutes: That were used.
-        found: Distinct failures by level, that or a higher one.
-        discovery: What was left to find by the estimates; None in hunts of an earlier version.
+        minutes: The time used so far [min].
+        found: The number of distinct failures of each level or a higher one.
+        discovery: The estimates of what was left to find; None for hunts of an earlier version.
     """
 
     minutes: float
@@ -85,9 +113,16 @@ class AfterRound:
 
 
 def over_time(hunt: Path) -> list[AfterRound]:
-    """How far a hunt was after each of its rounds.
+    """Read the state of a hunt after each of its rounds.
 
-    Raises UsageError: it is no hunt, is damaged, or has finished no round.
+    Args:
+        hunt: The folder of the hunt.
+
+    Returns:
+        The states, in order.
+
+    Raises:
+        UsageError: The folder is not that of a hunt, is damaged, or has no finished round.
     """
     file = hunt / HUNT
     if not file.is_file():
@@ -107,7 +142,12 @@ def over_time(hunt: Path) -> list[AfterRound]:
 
 
 def _discovery(written: Mapping[str, Any] | None) -> Discovery | None:
-    """The estimates as a round has them. Raises TypeError or KeyError: they are damaged."""
+    """Read the estimates of a round.
+
+    Raises:
+        TypeError: They are damaged.
+        KeyError: They are incomplete.
+    """
     if written is None:
         return None
     chance, high = (written[name] for name in ("chance", "high"))
