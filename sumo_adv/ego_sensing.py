@@ -13,7 +13,7 @@ class EgoSensing(BaseModel):
     position_noise: float = Field(default=0.0, ge=0, le=20)  # standard deviation along x and along y [m]
     speed_noise: float = Field(default=0.0, ge=0, le=20)  # standard deviation [m/s]
     range: float | None = Field(default=None, gt=0, le=120)  # between centres [m]; None: 120
-    delay: float = Field(default=0.0, ge=0, le=5)  # age of what is seen of other vehicles [s]
+    delay: float = Field(default=0.0, ge=0, le=5)  # age of the states that are seen of other vehicles [s]
     missed: float = Field(default=0.0, ge=0, le=1)  # share of vehicles that a step does not report
     seed: int = Field(default=0, ge=0, le=2**31 - 1)  # of the errors, in addition to the run's seed
 

@@ -1,4 +1,4 @@
-"""``batch``: many episodes, on every core, resumed where they stopped."""
+"""Define ``batch``: run many episodes on every core, and resume where an earlier call stopped."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ EXAMPLE = "Example: sumo-adv batch scenarios --egos idm,careful --seeds 10 --out
 
 
 class _DefaultGroup(TyperGroup):
-    """``batch PLAN`` is ``batch run PLAN``; only the other commands are named."""
+    """Treats ``batch PLAN`` as ``batch run PLAN``. Only the other commands must be named."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if not args or args[0] not in self.commands:
@@ -54,7 +54,7 @@ Memory = Annotated[
 
 @dataclass(frozen=True)
 class InputOptions:
-    """What is run."""
+    """Options that say what is run."""
 
     seeds: Annotated[str | None, option(INPUT_PANEL, "How many, from 0; or a list: 3,7,11.", default="1")] = None
     egos: Annotated[str | None, option(INPUT_PANEL, "krauss,idm,module:Class ...", default="the input's")] = None
@@ -71,7 +71,7 @@ class InputOptions:
 
 @dataclass(frozen=True)
 class AttackOptions:
-    """Which attack is wanted."""
+    """Options that say which attack is wanted."""
 
     until: opt.UntilLevel = None
     ttc: opt.Ttc = None
@@ -89,7 +89,7 @@ class AttackOptions:
 
 @dataclass(frozen=True)
 class BankOptions:
-    """The memory bank of the batch."""
+    """Options of the batch's memory bank."""
 
     learn: Annotated[
         Learn | None,
@@ -102,7 +102,7 @@ class BankOptions:
 
 @dataclass(frozen=True)
 class RunningOptions:
-    """How the episodes are run."""
+    """Options that say how the episodes are run."""
 
     workers: opt.Workers = None
     deadline: Annotated[
@@ -119,7 +119,7 @@ class RunningOptions:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What is written, and what is printed."""
+    """Options that say what is written and printed."""
 
     figures: Annotated[bool | None, option(OUTPUT_PANEL, "Draw encounter.png for each run.", default="no")] = None
     out: Annotated[Path | None, option(OUTPUT_PANEL, "Folder of results.", default="runs/<plan>")] = None
@@ -271,7 +271,7 @@ def unpack(
     from sumo_adv.api_batch import Campaign
     from sumo_adv.campaigns.store import unpack_runs
 
-    target = Campaign(folder).folder / "unpacked"  # which is no link: a campaign's folder holds none
+    target = Campaign(folder).folder / "unpacked"  # not a link, because a campaign's folder holds none
     with sentences(target):
         made = unpack_runs(folder, names or [], target, staged)
     if as_json:

@@ -1,4 +1,4 @@
-"""``bench``: tables of rows over a suite of encounters, with intervals; they resume where they stopped."""
+"""Define ``bench``: make tables of methods over a suite of encounters, with intervals, and resume them."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from sumo_adv.benchmark.nouns import Cell
 
 EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert+learn=off --row random --out runs/bench"
-DEFAULT_ROWS = ("raw", "llm-f", "expert+learn=off", "random")  # no bank changes from one encounter to the next
+DEFAULT_ROWS = ("raw", "llm-f", "expert+learn=off", "random")  # no bank changes between encounters
 SAID_ELSEWHERE = {
     "ego": "--ego", "seed": "--seed", "until": "--until", "attempts": "--attempts", "memory": "--memory",
     "learn": "a row, expert+learn=off", "trigger": "a row, expert+shift=-1.5", "llm": "a row, llm-a:MODEL",
     "analyzer": "a row, llm-a:MODEL", "generator": "a row, llm-a:MODEL", "modifier": "a row, llm-a:MODEL",
 }  # fmt: skip
-"""What is no setting of all rows, and how a table says it."""
+"""Settings that ``--set`` cannot give to all rows, and what to use instead."""
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -54,7 +54,7 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, n
 
 @dataclass(frozen=True)
 class EncounterOptions:
-    """The encounters of a table, and the budget of a row in each."""
+    """Options of a table's encounters and of a row's budget in each."""
 
     suite: SuiteOption
     ego: Egos = "idm"
@@ -65,7 +65,7 @@ class EncounterOptions:
 
 @dataclass(frozen=True)
 class RunningOptions:
-    """How the rows are run, and where their table is written."""
+    """Options that say how the rows are run and where their table is written."""
 
     setting: Setting = None
     memory: Memory = None
@@ -240,7 +240,14 @@ def _unique(rows: Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Ran:
-    """The cells of a table that was run; what is made of them."""
+    """The cells of a table that was run.
+
+    Attributes:
+        request: The table that was requested.
+        means: The folder and the resources of the run.
+        cells: The cells.
+        as_json: Whether the output is JSON.
+    """
 
     request: TableRequest
     means: BenchResources
@@ -262,7 +269,13 @@ class _Ran:
         return {"command": " ".join(["sumo-adv", *sys.argv[1:]]), **manifest(self.request, self.means)}
 
     def write(self, name: str, reference: str | None, words: Mapping[str, str]) -> None:
-        """The table's files; its main columns on stdout."""
+        """Write the table's files, and print its main columns.
+
+        Args:
+            name: The name of the table, for the files.
+            reference: The row that the others are compared with; None for no comparison.
+            words: Explanations of rows, by row.
+        """
         from sumo_adv.benchmark.jobs import growing_banks
         from sumo_adv.benchmark.plots import draw_all
         from sumo_adv.benchmark.table import make_table
@@ -278,7 +291,15 @@ class _Ran:
         self.say(files, table_text(made, files[0]))
 
     def say(self, files: Sequence[Path], text: str) -> None:
-        """The outcome; exit status 1 if every cell failed."""
+        """Print the outcome.
+
+        Args:
+            files: The files that were written.
+            text: The text for people.
+
+        Raises:
+            typer.Exit: Every cell failed; the exit status is 1.
+        """
         from sumo_adv.benchmark.cells import failed
 
         cells = self.cells
@@ -302,6 +323,7 @@ def _run(
     encounters: EncounterOptions, rows: Sequence[str], running: RunningOptions, *, keep_runs: bool = False,
     seconds: float | None = None,
 ) -> _Ran:  # fmt: skip
+    """Run the rows of a table, and keep the finished cells if the user interrupts it."""
     from sumo_adv.benchmark.bench import BenchResources, TableRequest, of_rows, run_table
     from sumo_adv.benchmark.suites import load_suite
     from sumo_adv.cli.progress import BenchProgress
@@ -317,7 +339,7 @@ def _run(
     if seconds is not None:
         settings["seconds"] = seconds
     limit = load_settings(None, **settings).cell_seconds
-    settings.pop("cell_seconds", None)  # it may be another when a table goes on
+    settings.pop("cell_seconds", None)  # it may change when a table is resumed
     memory = running.memory or data_folder("memory_bank.sqlite")
     request = TableRequest(loaded, egos, tuple(rows), encounters.seed, settings, memory)
     _check_models(request)
@@ -333,7 +355,11 @@ def _run(
 
 
 def _check_models(request: TableRequest) -> None:
-    """Raises UsageError for a row with a model that has no server or no key; asks nothing."""
+    """Check the models of rows without asking them anything.
+
+    Raises:
+        UsageError: A model has no server or no key.
+    """
     from sumo_adv.agents.agents import AGENT_ROLES
     from sumo_adv.benchmark.jobs import method_of
     from sumo_adv.llm.chat import Ledger
@@ -347,7 +373,13 @@ def _check_models(request: TableRequest) -> None:
 
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:
-    """What ``SUMO_ADV_*`` variables (but for those of tables' own) and ``--set`` say, as data; no server's key."""
+    """Return the settings of ``SUMO_ADV_*`` variables and of ``--set`` as data, without the key of a model's server.
+
+    Variables for what a table gets from its own options or rows are left out.
+
+    Raises:
+        UsageError: ``--set`` names a setting that a table gets in another way.
+    """
     values = set_values(given, "proposals=60")
     for name in values:
         if name in SAID_ELSEWHERE:

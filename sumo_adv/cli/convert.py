@@ -1,5 +1,7 @@
-"""Scenarios that ``run`` takes: those shipped (``scenarios``), Waymo records and CommonRoad scenarios with a report on
-fidelity (``convert``), a recording of another program (``import``).
+"""Define the commands about scenarios that ``run`` takes.
+
+``scenarios`` lists the shipped ones. ``convert`` makes them from Waymo records and CommonRoad scenarios, with a report
+on fidelity. ``import`` makes one from a recording of another program.
 """
 
 from __future__ import annotations
@@ -80,7 +82,11 @@ def convert(
 
 
 def _records(source: Path, choice: RecordChoice, told: Told | None) -> Iterable[Record]:
-    """The chosen records of a TFRecord file, or the record made of a CommonRoad scenario. Raises UsageError."""
+    """Read the chosen records of a TFRecord file, or the record made of a CommonRoad scenario.
+
+    Raises:
+        UsageError: The file is not a TFRecord file, and records of it are chosen.
+    """
     from sumo_adv.simulation.inputs import is_commonroad
     from sumo_adv.womd.commonroad import read_commonroad
     from sumo_adv.womd.reader import ALL_RECORDS, read_records
@@ -93,7 +99,7 @@ def _records(source: Path, choice: RecordChoice, told: Told | None) -> Iterable[
 
 
 def _fault(record: str, error: Exception) -> str:
-    """What to say of a record that no check refused and that cannot be converted all the same."""
+    """Describe an unexpected error in the conversion of a record that no check refused."""
     if isinstance(error, MemoryError):
         return f"Record {record} needs more memory than there is; convert it on a larger machine, or leave it out."
     fault = f"{type(error).__name__}: {error}"[:300]
@@ -103,7 +109,7 @@ def _fault(record: str, error: Exception) -> str:
 
 
 def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, Any]:
-    """Put one record's folder in its place; its report and folder."""
+    """Convert one record, put its folder in place, and return its report with the folder."""
     from sumo_adv.womd.convert import conversion
 
     with staged(out / record.scenario_id, force=force) as folder:
@@ -115,6 +121,7 @@ def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, 
 
 
 def show(reports: list[dict[str, Any]]) -> None:
+    """Print the table of fidelity."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -126,7 +133,7 @@ def show(reports: list[dict[str, Any]]) -> None:
         table.add_column(name, no_wrap=True, justify="left" if name == "record" else "right")
     for report in reports:
         table.add_row(*row(report))
-    console = Console(width=max(Console().width, TABLE_CHARACTERS))  # a narrow terminal wraps lines, but loses no cell
+    console = Console(width=max(Console().width, TABLE_CHARACTERS))  # narrow terminals wrap lines, cells stay whole
     console.print(table)
     console.print(LEGEND, highlight=False)
 
@@ -190,6 +197,6 @@ def scenarios(
 
 
 def _adversary(scenario: ShippedScenario) -> str:
-    """The collider's relation, and how many adversaries there are if there are several."""
+    """Return the collider's relation, and the number of adversaries if there are several."""
     relation = scenario.relation or "-"
     return relation if scenario.adversaries == 1 else f"{relation}, of {scenario.adversaries}"

@@ -1,4 +1,4 @@
-"""``doctor``: is everything here that a run needs; with ``--ego`` the check of a driver; the line of ``--version``."""
+"""Define ``doctor``: check that everything a run needs is here; check a driver (``--ego``) or an input."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from sumo_adv.input_check import InputCheck
 
 EXAMPLE = "Example: sumo-adv doctor my.sumocfg"
-CHECKED_SIMULATION_S = 100.0  # s of an input
+CHECKED_SIMULATION_S = 100.0  # simulated time of an input
 
 
 def doctor(
@@ -111,7 +111,17 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
 
 
 def tell_input(source: Path, seconds: float, settings_file: Path | None, *, as_json: bool) -> None:
-    """Check an input and print what was found. Raises typer.Exit if it does not move as in SUMO."""
+    """Check an input and print what was found.
+
+    Args:
+        source: The input.
+        seconds: The simulated time to compare with SUMO [s].
+        settings_file: A TOML file of settings; None for no file.
+        as_json: Whether the output is JSON.
+
+    Raises:
+        typer.Exit: The input's traffic does not move as in SUMO.
+    """
     from sumo_adv import app
     from sumo_adv.simulation.inputs import own_simulation
 
@@ -156,7 +166,10 @@ def _counted(counts: Mapping[str, int]) -> str:
 
 
 def version_line() -> str:
-    """This program, SUMO and the memory bank that a run would use (the shipped one where there is none yet)."""
+    """Return the versions of this program and of SUMO, and the memory bank that a run would use.
+
+    If the user has no bank yet, it is the shipped one.
+    """
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
 
@@ -174,11 +187,21 @@ def version_line() -> str:
 
 
 EXIT_FINDINGS = 3  # exit status of a check that fails
-SCENARIO_NAME_CHARACTERS = 40  # columns for a scenario's name
+SCENARIO_NAME_CHARACTERS = 40  # width of a scenario's name
 
 
 def check_ego(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *, as_json: bool) -> None:
-    """Check a driver and print what was found. Raises typer.Exit if there is a finding."""
+    """Check a driver and print what was found.
+
+    Args:
+        ego: The name of the driver.
+        scenarios: The scenarios to drive, files or names of the table; empty for the twelve of ``driver_check``.
+        settings_file: A TOML file of settings; None for no file.
+        as_json: Whether the output is JSON.
+
+    Raises:
+        typer.Exit: There is a finding, or Ctrl-C stopped the check.
+    """
     from sumo_adv import app
     from sumo_adv.driver_check import DRIVE_DURATION_S, by_name, twelve
 
@@ -205,7 +228,7 @@ def _many(scenarios: int) -> str:
 
 
 class CheckProgress:
-    """A line for each scenario; after the first one, how long the others will take."""
+    """Prints a line for each scenario, and after the first one how long the others will take."""
 
     def __init__(self, scenarios: int) -> None:
         self._left, self._first, self._began = scenarios, True, time.monotonic()
@@ -230,6 +253,7 @@ def _tell(checked: Checked) -> None:
 
 
 def summary(done: DriverCheck) -> list[str]:
+    """Describe the result of a driver's check in lines."""
     from sumo_adv.driver_check import FINDING_MEANINGS
 
     lines = [f"{kind}: {FINDING_MEANINGS[kind]}" for kind in done.kinds]

@@ -1,4 +1,4 @@
-"""What ``doctor`` looks at, of the machine and the user's: each check tries the real thing and says how to fix it."""
+"""Check the machine and the user's files for ``doctor``. Each check tries the real thing and says how to fix it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ EXTRAS = (
     ("commonroad", "commonroad", "CommonRoad planners"), ("gymnasium", "gym", "the environments"),
     ("optax", "train", "training the row transformer"),
 )  # fmt: skip
-PROGRAM_TIMEOUT_S = 30.0  # s for a program to answer
+PROGRAM_TIMEOUT_S = 30.0  # longest time for a program to answer
 CONTAINERS = ("/.dockerenv", "/run/.containerenv")
 ONE_STEP = """\
 import sys
@@ -57,7 +57,7 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 
 
 class FindingLevel(StrEnum):
-    """``FAIL``: a run cannot work. ``WARN``: something else cannot, or a wall is missing."""
+    """The level of a finding. ``FAIL``: a run cannot work. ``WARN``: something else cannot, or a wall is missing."""
 
     OK = "ok"
     WARN = "warn"
@@ -66,7 +66,14 @@ class FindingLevel(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DoctorFinding:
-    """One line: the thing that was checked, its level, the finding, and how to fix it."""
+    """One line of the report.
+
+    Attributes:
+        name: The thing that was checked.
+        level: The level of the finding.
+        found: The finding.
+        mend: How to fix it; empty if nothing is wrong.
+    """
 
     name: str
     level: FindingLevel
@@ -75,11 +82,13 @@ class DoctorFinding:
 
 
 def reason(error: Exception) -> str:
+    """Return an error's message in one line, with the error's type if it is not one of this program's."""
     text = " ".join(str(error).split()).rstrip(".")
     return text if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {text}"
 
 
 def interpreter() -> Iterator[DoctorFinding]:
+    """Report the versions, and whether the system can fork attempts."""
     here = f"sumo_adv {__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     if hasattr(os, "fork") and sys.platform != "darwin":
         yield DoctorFinding("program", FindingLevel.OK, here)
@@ -92,6 +101,7 @@ def interpreter() -> Iterator[DoctorFinding]:
 
 
 def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[DoctorFinding]:
+    """Import each library and report its version."""
     present, missing = [], []
     for name in names:
         try:
@@ -109,11 +119,12 @@ def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[DoctorFinding]:
 def _installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ImportError:  # of the package above it
+    except ImportError:  # the package above the module is missing
         return False
 
 
 def extras(there: Callable[[str], bool] = _installed) -> Iterator[DoctorFinding]:
+    """Report the optional packages. ``there`` says whether a module is installed."""
     missing = [(extra, use) for module, extra, use in EXTRAS if not there(module)]
     names = ", ".join(extra for _, extra, _ in EXTRAS if extra not in {e for e, _ in missing})
     if not missing:
@@ -128,7 +139,7 @@ def extras(there: Callable[[str], bool] = _installed) -> Iterator[DoctorFinding]
 
 
 def simulator(network: Path) -> Iterator[DoctorFinding]:
-    """One step of SUMO, in a process that may die of it."""
+    """Run one step of SUMO on ``network``, in a process that it may crash."""
     try:
         done = _said(sys.executable, "-c", ONE_STEP, str(network))
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -149,7 +160,12 @@ def simulator(network: Path) -> Iterator[DoctorFinding]:
 
 
 def programs(which: Callable[[str], str | None] = shutil.which, *, developing: bool = False) -> Iterator[DoctorFinding]:
-    """Programs that some commands start; ``developing``: also what only the tests want."""
+    """Look for the programs that some commands start.
+
+    Args:
+        which: Finds a program by its name.
+        developing: Whether the programs that only the tests need are checked as well.
+    """
     from sumo_adv.simulation.programs import find_netconvert, find_sumo
 
     for name, find, use in (("sumo", find_sumo, "serve"), ("netconvert", find_netconvert, "Waymo and OpenSCENARIO")):
@@ -173,7 +189,7 @@ def programs(which: Callable[[str], str | None] = shutil.which, *, developing: b
 
 
 def _program(name: str, path: Path, use: str) -> DoctorFinding:
-    """A program of SUMO's: it runs, and is of the library's version."""
+    """Check that a program of SUMO runs and has the library's version."""
     try:
         match = re.search(r"SUMO \w+ v?(\d[.\d]*)", _said(str(path), "--version").stdout)
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -206,7 +222,12 @@ def _version(name: str) -> str:
 
 
 def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[DoctorFinding]:
-    """A planner is tried where planners run; and how many walls there are. ``contained``: in a container."""
+    """Try a planner in the sandbox, and report how many walls the sandbox has.
+
+    Args:
+        bubblewrap: Whether bubblewrap is used if it is available.
+        contained: Whether the program runs in a container; None to detect it.
+    """
     from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.planners.trial import trial
 
@@ -242,7 +263,7 @@ def _more_walls(note: str) -> str:
 
 
 def in_container(files: tuple[str, ...] = CONTAINERS, environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether this is the inside of a container, as far as its usual marks tell."""
+    """Return whether the program runs in a container, judging by the usual marks."""
     return bool(environment.get("container")) or any(Path(file).exists() for file in files)
 
 
@@ -250,7 +271,12 @@ LOW_DISK_SPACE_BYTES = 500e6
 
 
 def variables(known: Collection[str], environment: Mapping[str, str] = os.environ) -> Iterator[DoctorFinding]:
-    """Variables that look like settings and are none; ``known``: the names of settings. Values are never shown."""
+    """Report variables that look like settings but are not. Their values are never shown.
+
+    Args:
+        known: The names of the settings.
+        environment: The environment variables.
+    """
     given = [name for name in environment if name.upper().startswith(SETTING_PREFIX)]
     unknown = sorted(n for n in given if n.upper().removeprefix(SETTING_PREFIX).split("__")[0].lower() not in known)
     if unknown:
@@ -259,7 +285,7 @@ def variables(known: Collection[str], environment: Mapping[str, str] = os.enviro
 
 
 def bank(path: Path | None) -> Iterator[DoctorFinding]:
-    """The bank that a run would use; none is made."""
+    """Open the bank that a run would use; do not make one."""
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
 
@@ -284,7 +310,7 @@ def bank(path: Path | None) -> Iterator[DoctorFinding]:
 
 
 def _made_later(path: Path, says: str) -> DoctorFinding:
-    """The nearest folder above that is there must be writable."""
+    """Check that the nearest existing folder above a missing bank is writable."""
     above = next(folder for folder in path.absolute().parents if folder.is_dir())
     wrong = not_writable(above)
     if wrong is None:
@@ -296,7 +322,7 @@ def _made_later(path: Path, says: str) -> DoctorFinding:
 
 
 def output(folder: Path) -> Iterator[DoctorFinding]:
-    """Whether ``runs/`` in ``folder`` can be written, and how much room there is."""
+    """Check that ``runs/`` in ``folder`` can be written, and report the free space."""
     runs = folder / "runs"
     place = runs if runs.is_dir() else folder
     wrong = not_writable(place)
@@ -316,7 +342,7 @@ def output(folder: Path) -> Iterator[DoctorFinding]:
 
 
 def not_writable(folder: Path) -> str | None:
-    """Why no file can be made there; None if one can."""
+    """Return why no file can be made in a folder; None if one can."""
     try:
         with tempfile.NamedTemporaryFile(dir=folder):
             return None

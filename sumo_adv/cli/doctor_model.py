@@ -1,4 +1,4 @@
-"""What ``doctor`` asks the servers of the language models that the settings name."""
+"""Ask the servers of the language models that the settings name, for ``doctor``."""
 
 from __future__ import annotations
 
@@ -17,13 +17,19 @@ from sumo_adv.errors import ModelError, SumoAdvError
 if TYPE_CHECKING:
     from sumo_adv.llm.client import Server
 
-CONNECT_TIMEOUT_S = 3.0  # for a server to take a connection
-MAX_MODELS_LISTED = 5  # names of models in a finding
+CONNECT_TIMEOUT_S = 3.0  # longest time until a server accepts a connection
+MAX_MODELS_LISTED = 5  # largest number of models named in a finding
 
 
 def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[DoctorFinding]:
-    """The servers of the models that the settings name. Each is asked for its models, and one question with an answer
-    of two tokens. No key is shown."""
+    """Check the server of each model that the settings name. No key is shown.
+
+    A server is asked for its models, and one question with an answer of two tokens.
+
+    Args:
+        settings: The settings.
+        environment: The environment variables.
+    """
     from sumo_adv.agents.agents import AGENT_ROLES
     from sumo_adv.llm.client import REPLAY, find_server
 
@@ -50,7 +56,7 @@ def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> It
 
 
 def _out_of_reach(name: str, server: Server, level: FindingLevel) -> DoctorFinding | None:
-    """The finding where a server, or the proxy on the way to it, takes no connection."""
+    """Return a finding if a server, or the proxy on the way to it, accepts no connection; otherwise None."""
     parts = urlsplit(server.base_url)
     host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
     proxy = None if host in ("localhost", "127.0.0.1", "::1") else getproxies().get(parts.scheme)
@@ -68,7 +74,7 @@ def _out_of_reach(name: str, server: Server, level: FindingLevel) -> DoctorFindi
 
 
 def _asked(name: str, server: Server, settings: Settings, level: FindingLevel) -> DoctorFinding:
-    """What a server's answers show."""
+    """Ask a server and report what its answers show."""
     from sumo_adv.agents.analyzer import Analysis
     from sumo_adv.llm.server_check import check_server
 

@@ -1,4 +1,4 @@
-"""``export``: a run, or each of many, in the formats of other tools."""
+"""Define ``export``: write a run, or each of many, in the formats of other tools."""
 
 from __future__ import annotations
 
@@ -85,7 +85,19 @@ def export(
 def _pieces(
     runs: Iterable[Path], cut: Callable[[Path], ExportedRun], *, single: bool
 ) -> Iterator[tuple[Path, ExportedRun]]:
-    """The runs that can be exported, each with what is exported of it. Raises UsageError if a ``single`` one cannot."""
+    """Read the part of each run that is exported. Runs that cannot be exported are reported and left out.
+
+    Args:
+        runs: The folders of the runs.
+        cut: Reads the part of a run.
+        single: Whether there is only one run, which must not be left out.
+
+    Yields:
+        The folder and the part of a run.
+
+    Raises:
+        UsageError: A ``single`` run cannot be exported.
+    """
     from sumo_adv.report.read import reading
 
     for run in runs:

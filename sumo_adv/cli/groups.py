@@ -1,4 +1,4 @@
-"""Commands that take their options in dataclasses, one for each group of options that belong together."""
+"""Let commands take their options in dataclasses, one for each group of related options."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Let typer read a command whose parameters may be groups of options.
 
-    A group is a frozen dataclass. Its fields are options, annotated as parameters of a command are. The help lists
-    them where the group stands among the parameters.
+    A group is a frozen dataclass. Its fields are options, annotated like parameters of a command. The help lists them
+    where the group stands among the parameters.
 
     Args:
         command: The command.
@@ -50,7 +50,7 @@ def named_settings(*groups: DataclassInstance) -> dict[str, Any]:
     """Return the settings that the user gave as options.
 
     Args:
-        groups: Groups of options. A field that has the name of a setting is one.
+        *groups: Groups of options. A field is a setting if it has the name of one.
 
     Returns:
         The value of each setting whose option was given.

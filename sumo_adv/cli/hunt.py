@@ -1,4 +1,4 @@
-"""``hunt``: the worst distinct failures of a driver that the time is enough for."""
+"""Define ``hunt``: find the worst distinct failures of a driver in a given time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sumo_adv.hunting.hunt import Found, HuntProgress
 
 EXAMPLE = "Example: sumo-adv hunt motorway priority_crossing --ego my_package.driver:MyDriver --minutes 30"
-MAX_FAILURES_SHOWN = 20  # failures in the table on the screen
+MAX_FAILURES_SHOWN = 20  # largest number of failures on the screen
 SCREEN_COLUMNS: dict[str, Literal["left", "right"]] = {
     "rank": "right", "level": "left", "delta-v": "right", "hit on": "left", "times": "right", "attack and cause": "left"
 }  # fmt: skip
@@ -30,7 +30,7 @@ FIRST_LINE_S = 20.0  # after which a line says that the first encounter is still
 PARTS_SHOWN = 4  # parts of a hunt's time that are named
 RULE_BREAKERS = ("adversary", "ego", "both")
 DIFFERING_COLUMNS = ("intent", "speed_band", "cause", "seed", "adversary")
-"""Columns of which rows that read alike say those that differ."""
+"""Columns that are shown if rows that read the same differ in them."""
 
 Given = Annotated[
     list[str],
@@ -42,7 +42,7 @@ Memory = Annotated[Path | None, option(SEARCH_PANEL, "Memory bank; it is only re
 
 @dataclass(frozen=True)
 class AttackOptions:
-    """Which failures are looked for, and how long."""
+    """Options that say which failures are wanted, and how long they are searched for."""
 
     minutes: Annotated[
         float, option(ATTACK_PANEL, "Of the whole hunt, several calls together.", default="30", min=0.1)
@@ -71,7 +71,7 @@ class AttackOptions:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """From which seed and with which bank they are searched for, and to what the time is given."""
+    """Options of the search: its first seed, its bank, and what the time is given to."""
 
     seed: Annotated[int, option(SEARCH_PANEL, "The first seed of traffic and search.", default="0", min=0)] = 0
     memory: Memory = None
@@ -83,7 +83,7 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class RunningOptions:
-    """How the encounters are run."""
+    """Options that say how the encounters are run."""
 
     workers: opt.Workers = None
     deadline: Annotated[
@@ -94,7 +94,7 @@ class RunningOptions:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What is written, and what is printed."""
+    """Options that say what is written and printed."""
 
     out: Annotated[Path | None, option(OUTPUT_PANEL, "Folder; the same one goes on.", default="runs/hunt")] = None
     no_pages: Annotated[bool, option(OUTPUT_PANEL, "Make no index page and no replays.", "--no-pages")] = False
@@ -183,7 +183,7 @@ def _tell(progress: HuntProgress) -> None:
 
 
 def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
-    """The ranked table, and what to do next."""
+    """Print the ranked table and what to do next."""
     from rich.console import Console
     from rich.table import Table
 
@@ -236,7 +236,7 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
 
 
 def _show_scenarios(found: Found) -> None:
-    """The named scenarios that were met, and the names of those that were not."""
+    """Print the named scenarios that were met, and the names of the others."""
     from sumo_adv.report.scenario_table import LEVELS, never_met
     from sumo_adv.scenario_names import LISTS
 
@@ -256,14 +256,14 @@ def _show_scenarios(found: Found) -> None:
 
 
 def _what(row: Mapping[str, Any]) -> str:
-    """What the adversary does, where, and the names of the scenario."""
+    """Say what the adversary does and where, with the names of the scenario."""
     names = [row["euro_ncap"], row["nhtsa"] and f"NHTSA {row['nhtsa']}"]
     named = f", {'; '.join(filter(None, names))}" if any(names) else ""
     return f"{row['motion'] or row['intent']} ({row['relation']}, {row['road']}), {row['network']}{named}"
 
 
 def _facts(row: Mapping[str, Any]) -> str:
-    """Whether the attack holds and is human, and who broke what."""
+    """Say whether the attack is robust and human-like, and who broke which rule."""
     holds = [
         word if row[key] else f"not {word}" for key, word in (("robust", "robust"), ("humanlike", "humanlike"))
         if row[key] is not None
@@ -278,7 +278,7 @@ def _facts(row: Mapping[str, Any]) -> str:
 
 
 def _differing(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
-    """What tells a row from those that read as it does, in words; empty where it stands alone."""
+    """Name the features that set a row apart from rows that read the same; '' if there are none."""
 
     def read(each: Mapping[str, Any]) -> tuple[Any, ...]:
         return _what(each), each["cause_sentence"], each["level"], each["side"]

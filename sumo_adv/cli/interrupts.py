@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while a command works."""
+"""Handle Ctrl-C and SIGTERM while a command works."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
 
-INTERRUPT_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what services and time limits send
+INTERRUPT_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # sent by Ctrl-C; by services and time limits
 
 
 class Interrupts:
-    """Remembers a Ctrl-C or SIGTERM beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows an interrupt that
-    comes while it runs a planner (measured). A context manager for the main thread."""
+    """Remembers Ctrl-C or SIGTERM and raises KeyboardInterrupt.
 
-    happened = False  # in this process, ever
+    It is a context manager for the main thread. It remembers the interrupt because pydantic-monty 1.4 swallows one that
+    comes while it runs a planner (measured).
+
+    Attributes:
+        happened: Whether an interrupt came in this process, at any time.
+    """
+
+    happened = False
 
     def __enter__(self) -> Self:
         self._pressed = False
@@ -26,12 +32,16 @@ class Interrupts:
             signal.signal(number, handler)
 
     def check(self) -> None:
-        """Raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
+        """Raise an interrupt that was swallowed.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C was pressed.
+        """
         if self._pressed:
             raise KeyboardInterrupt
 
     def checked(self, tell: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
-        """``tell``, which then raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
+        """Wrap ``tell`` so that it raises a swallowed interrupt after each call."""
 
         def report_then_check(what: str, value: Any) -> None:
             tell(what, value)
@@ -40,7 +50,7 @@ class Interrupts:
         return report_then_check
 
     def hold(self) -> None:
-        """From here on both are ignored: the rest takes a second or two."""
+        """Ignore Ctrl-C and SIGTERM from now on, because the rest takes only a second or two."""
         for number in INTERRUPT_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 

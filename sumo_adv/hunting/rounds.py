@@ -104,7 +104,7 @@ class AfterRound:
     Attributes:
         minutes: The time used so far [min].
         found: The number of distinct failures of each level or a higher one.
-        discovery: The estimates of what was left to find; None for hunts of an earlier version.
+        discovery: The estimates of the failures left to find; None for hunts of an earlier version.
     """
 
     minutes: float
