@@ -1,6 +1,4 @@
-"""``judge``: stored runs judged again, and standard cut-ins; ``compare``: two drivers or two
-revisions, over the encounters that both have met.
-"""
+"""Define ``judge``, for stored runs and standard cut-ins, and ``compare``, for two drivers or two revisions."""
 
 from __future__ import annotations
 
@@ -57,6 +55,7 @@ def judge(
 
 
 def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, workers: int, *, as_json: bool) -> None:
+    """Judge runs in parallel, print or write the table, and exit with status 1 if a run failed."""
     from sumo_adv.report.judging import counts, run_folders
 
     judgements: list[Judgement] = []
@@ -94,7 +93,12 @@ def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
 
 
 def _replayed(folder: Path, ego: str | None) -> Judgement:
-    """A run simulated again, and its reference drivers with it."""
+    """Simulate a run again, with its reference drivers.
+
+    Raises:
+        UsageError: ``ego`` is not the driver of the run.
+        SumoAdvError: The encounter did not come back.
+    """
     from sumo_adv.app import replay
     from sumo_adv.drivers.registry import is_foreign, trusted_driver
     from sumo_adv.report.judging import Judgement
@@ -127,6 +131,7 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def _cut_ins(file: Path, out: Path | None, *, as_json: bool) -> None:
+    """Judge the cut-ins of a CSV file."""
     import numpy as np
 
     from sumo_adv.metrics.own_data import ANSWERING_DRIVERS, CASE_COLUMNS, judge_cut_ins
@@ -157,7 +162,7 @@ def _cut_ins(file: Path, out: Path | None, *, as_json: bool) -> None:
 
 
 def _prevented(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, int]:
-    """Of the unchanged ego's collisions how many each driver avoids."""
+    """Count the collisions of the unchanged ego, and how many of them each driver avoids."""
     hit = [row for row in rows if row["unchanged"] != "none"]
     return {"collisions": len(hit)} | {n: sum(row[n] == "none" for row in hit) for n in names if n != "unchanged"}
 
@@ -204,6 +209,7 @@ def compare(
 
 
 def _two(egos: str | None) -> tuple[str, str] | None:
+    """Split the option ``--egos`` into two drivers."""
     if egos is None:
         return None
     names = [name.strip() for name in egos.split(",")]

@@ -1,6 +1,7 @@
-"""The command line: one sentence on stderr for what is wrong, exit status 0 done, 1 the work failed, 2 wrong use.
+"""Run the command line.
 
-A command's module is loaded when that command is called, and all of them for a wrong name.
+An error is one sentence on stderr. Exit status 0: done; 1: the work failed; 2: wrong use. The module of a command is
+loaded when that command is called. All of them are loaded for an unknown name.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sumo_adv.cli.terminal import cleaned
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import FULL, sweep_scratch
 
-EXIT_INTERRUPTED = 130  # what typer makes of Ctrl-C
+EXIT_INTERRUPTED = 130  # typer's exit status after Ctrl-C
 
 COMMANDS = {
     "run": ("run", "EXAMPLE"),
@@ -43,9 +44,9 @@ COMMANDS = {
     "import": ("convert", "IMPORT_EXAMPLE"),
     "doctor": ("doctor", "EXAMPLE"),
 }
-"""By command: the module of this package that has its function, and the name of its example there."""
-FUNCTIONS = {"import": "import_fcd"}  # those that are not called as their command
-HELP_GROUPS = ("batch", "bench", "memory")  # of commands, each in the module of its name
+"""The module of each command in this package, and the name of the command's example there."""
+FUNCTIONS = {"import": "import_fcd"}  # functions whose names differ from their commands
+HELP_GROUPS = ("batch", "bench", "memory")  # groups of commands, each in the module of its name
 
 
 def _version(wanted: bool) -> None:
@@ -63,7 +64,7 @@ def options(
 
 
 def command_line(names: Collection[str]) -> typer.Typer:
-    """The program with these commands and groups of commands."""
+    """Build the program with these commands and groups of commands."""
     app = typer.Typer(
         name="sumo-adv", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
         help="Finds the dangerous case inside SUMO, online, against your driver.",
@@ -81,7 +82,7 @@ def command_line(names: Collection[str]) -> typer.Typer:
 
 
 def __getattr__(name: str) -> Any:
-    """``app``: the program with all commands, made when it is read."""
+    """Build ``app``, the program with all commands, when it is first read."""
     if name != "app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     made = globals()[name] = command_line([*COMMANDS, *HELP_GROUPS])
@@ -89,6 +90,7 @@ def __getattr__(name: str) -> Any:
 
 
 def main() -> None:
+    """Run the program with ``sys.argv``, and turn errors into sentences and exit statuses."""
     sys.stdout, sys.stderr = cleaned(sys.stdout), cleaned(sys.stderr)
     sweep_scratch()
     try:
@@ -100,11 +102,11 @@ def main() -> None:
     except SumoAdvError as error:
         typer.echo(f"sumo-adv: {error}", err=True)
         sys.exit(error.exit_status)
-    except KeyboardInterrupt:  # before a command has begun; commands see to it themselves
+    except KeyboardInterrupt:  # before a command has begun; commands handle it themselves
         typer.echo("sumo-adv: interrupted.", err=True)
         _leave(1)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is flushed at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that nothing is flushed at exit
         sys.exit(1)
     except OSError as error:
         if error.errno not in FULL or error.filename is not None:
@@ -122,7 +124,7 @@ def main() -> None:
 
 
 def _listing() -> typer.Typer:
-    """The program as its help lists it: the commands with their docstrings, of which no module is loaded."""
+    """Build the program for its list of commands, with their docstrings but without loading their modules."""
     app, documents = command_line(()), dict[str, dict[str, str]]()
     for name in [*COMMANDS, *HELP_GROUPS]:
         file = COMMANDS.get(name, (name, ""))[0]
@@ -134,7 +136,7 @@ def _listing() -> typer.Typer:
 
 
 def _docstrings(file: Path) -> dict[str, str]:
-    """The docstrings of a module's functions; of its group ``app`` of commands the help."""
+    """Read the docstrings of a module's functions and the help of its group ``app``, without importing it."""
     found = dict[str, str]()
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef):
@@ -147,7 +149,7 @@ def _docstrings(file: Path) -> dict[str, str]:
 
 
 def _wanted(arguments: list[str]) -> Collection[str]:
-    """The command that the program is called with; all of them if it is called otherwise."""
+    """Return the called command; all commands if the arguments do not begin with one."""
     every = [*COMMANDS, *HELP_GROUPS]
     if arguments[:1] == ["--version"]:
         return ["doctor"]
@@ -157,8 +159,8 @@ def _wanted(arguments: list[str]) -> Collection[str]:
 def _leave(status: int) -> None:
     """Clean up and exit with a status.
 
-    CPython remembers a KeyboardInterrupt that passed through an ``exec`` of text (dataclasses do that on import), even
-    an interrupt that was caught, and would end the process by SIGINT in place of the status.
+    CPython remembers a KeyboardInterrupt that passed through an ``exec`` of text, even if it was caught. Dataclasses
+    use such an ``exec`` on import. CPython would then end the process by SIGINT instead of the status.
     """
     atexit._run_exitfuncs()  # temporary folders, the engine's process
     sys.stdout.flush()

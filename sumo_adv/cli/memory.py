@@ -1,4 +1,4 @@
-"""``memory``: look into a memory bank, change it, share it, check it."""
+"""Define ``memory``: look into a memory bank, change it, share it, check it."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def list_(memory: Bank = None, as_json: Json = False) -> None:
 
 
 def counts(c: Composition) -> str:
+    """Describe how often a composition succeeded and failed."""
     attempts, forgotten = "attempt" if c.succeeded == 1 else "attempts", "; forgotten" if c.hopeless else ""
     return f"{c.succeeded} {attempts} succeeded, {c.failed} failed since the last success{forgotten}"
 
@@ -86,6 +87,7 @@ def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
 
 
 def show_composition(c: Composition, as_json: bool) -> None:
+    """Print a composition with its parts."""
     from sumo_adv.memory.records import plain_composition
 
     answer(plain_composition(c), as_json, lambda: [

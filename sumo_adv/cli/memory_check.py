@@ -1,4 +1,4 @@
-"""``memory verify | calibrate``: do the planners still work, and where does "known" end."""
+"""Define ``memory verify`` and ``memory calibrate``: check planners, and find where "known" ends."""
 
 from __future__ import annotations
 
@@ -26,7 +26,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Rerun:
-    """A planner's new run: whether it was critical, feasible and not rear-end within ``attempts`` attempts."""
+    """A new run of a planner.
+
+    Attributes:
+        ok: Whether an attempt was critical, feasible and not a rear-end.
+        attempts: The number of attempts.
+        min_ttc: The smallest minimum TTC of the attempts [s]; None if there was no conflict.
+    """
 
     ok: bool
     attempts: int
@@ -34,9 +40,18 @@ class Rerun:
 
 
 def successes_on(stored: StoredIntent, planner: Planner, network: str) -> list[Evidence]:
-    """The evidence that a run on ``network`` can be held against, in the order of the bank.
+    """List a planner's successes that a new run can be compared with.
 
-    Not that of an ego which is a Python class: evidence may have been imported, and must not name code to be run.
+    Successes against an ego that is a Python class are left out: evidence may have been imported, and must not name
+    code to be run.
+
+    Args:
+        stored: The intent in the bank.
+        planner: The planner.
+        network: The name of the network.
+
+    Returns:
+        The evidence, in the order of the bank.
     """
     from sumo_adv.drivers.registry import is_foreign
 
@@ -47,9 +62,21 @@ def successes_on(stored: StoredIntent, planner: Planner, network: str) -> list[E
 def rerun(
     sandbox: Sandbox, stored: StoredIntent, planner: Planner, evidence: Evidence, scenario: Path, attempts: int
 ) -> Rerun:
-    """Run ``scenario`` with this planner alone, with the evidence's seed and ego driver, until it succeeds.
+    """Run a scenario with one planner until it succeeds, with the seed and the ego's driver of the evidence.
 
-    Raises UsageError for a scenario that cannot be read.
+    Args:
+        sandbox: Where the planner runs.
+        stored: The intent of the planner.
+        planner: The planner.
+        evidence: The success that is repeated.
+        scenario: The scenario.
+        attempts: The largest number of attempts.
+
+    Returns:
+        The result of the run.
+
+    Raises:
+        UsageError: The scenario cannot be read.
     """
     from sumo_adv.agents.agents import Agents
     from sumo_adv.episode.engine import episode_worker
@@ -116,7 +143,15 @@ def verify(
 
 
 def lacking_row(composition: Composition, active: Sequence[StoredIntent]) -> dict[str, Any]:
-    """Whether bank and program have each part of a composition, and what they lack."""
+    """Check that the bank or the program has each part of a composition.
+
+    Args:
+        composition: The composition.
+        active: The active intents of the bank.
+
+    Returns:
+        The label, whether all parts are available, and the first missing one in a sentence.
+    """
     from sumo_adv.search.intents import COMPOSED
     from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
@@ -155,7 +190,7 @@ def _verify(sandbox: Sandbox, stored: StoredIntent, scenario: Path | None, attem
 def _again(
     sandbox: Sandbox, stored: StoredIntent, planner: Planner, scenario: Path, attempts: int
 ) -> tuple[dict[str, Any] | None, str | None]:
-    """The new run of a planner that has evidence on the scenario, and what is wrong with it."""
+    """Run a planner again on a scenario that it has evidence on; return the result and what is wrong with it."""
     from sumo_adv.simulation.inputs import load_input
 
     held = successes_on(stored, planner, load_input(scenario).name)
@@ -215,7 +250,7 @@ def _lines(name: str, figures: SetFigures) -> list[str]:
 
 
 def _as_known(bank: MemoryBank, half: list[Paraphrase]) -> list[Paraphrase]:
-    """The paraphrases, those of intents that are not active in the bank as novel ones."""
+    """Mark paraphrases of intents that are not active in the bank as novel."""
 
     def there(label: str) -> bool:
         record = bank.intent(label)

@@ -1,4 +1,7 @@
-"""``memory``: what changes a bank by hand, by a language model, or as folders of text; what its commands share."""
+"""Define the commands of ``memory`` that change a bank: by hand, with a language model, or as folders of text.
+
+It also holds what all commands of ``memory`` share.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,11 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")
 
 
 def known_intent(bank: MemoryBank, label: str) -> IntentRecord:
-    """The intent of that label. Raises UsageError that names those there are."""
+    """Return the intent with a label.
+
+    Raises:
+        UsageError: The bank has no such intent. The message lists those it has.
+    """
     record = bank.intent(label)
     if record is None:
         labels = ", ".join(r.label for r in bank.intents())
@@ -41,7 +48,13 @@ def known_intent(bank: MemoryBank, label: str) -> IntentRecord:
 
 
 def answer(value: dict[str, Any], as_json: bool, lines: Callable[[], list[str]]) -> None:
-    """Print ``value`` as JSON, or the ``lines`` for people."""
+    """Print a result.
+
+    Args:
+        value: The result as data.
+        as_json: Whether the data are printed as JSON.
+        lines: Makes the lines for people.
+    """
     for line in [json.dumps(value)] if as_json else lines():
         typer.echo(line)
 
@@ -93,6 +106,11 @@ def _read(file: Path) -> str:
 
 
 def _intent_to_add(bank: MemoryBank, label: str, description: str | None, applies: str | None) -> IntentRecord:
+    """Return the intent that a planner is added to: an active one of the bank, or a new one.
+
+    Raises:
+        UsageError: The intent is retired, or the options do not fit it.
+    """
     from sumo_adv.memory.records import RELATIONS, IntentRecord
 
     record = bank.intent(label)
@@ -213,7 +231,7 @@ def generate(
 def _intent(
     bank: MemoryBank, label: str, description: str, applies: str | None
 ) -> tuple[IntentRecord, list[LibraryEntry]]:
-    """The intent as the bank has it or a new one, and the nearest entries as examples."""
+    """Return the bank's active intent or a new one, and the nearest entries as examples."""
     from sumo_adv.memory.records import IntentRecord
 
     nearest = [record for name, _ in bank.retrieve(label, description).nearest if (record := bank.intent(name))]
@@ -226,6 +244,7 @@ def _intent(
 
 
 def _written(settings: Settings, name: str, intent: IntentRecord, near: list[LibraryEntry]) -> Planner:
+    """Have a model write a planner that passes its trial in the sandbox."""
     from sumo_adv.agents.generator import ModelGenerator
     from sumo_adv.llm.asking import MeteredModel
     from sumo_adv.llm.chat import Ledger
@@ -243,7 +262,7 @@ def _written(settings: Settings, name: str, intent: IntentRecord, near: list[Lib
 
 
 def _free_mode(bank: MemoryBank, intent: IntentRecord, planner: Planner) -> Planner:
-    """The planner with a mode that no other of its intent has."""
+    """Return the planner with a mode that no other planner of its intent has."""
     taken = {p.mode for p in bank.planners(intent.label)}
     modes = (planner.mode, *(f"{planner.mode}_{k}" for k in range(2, len(taken) + 3)))
     return replace(planner, mode=next(mode for mode in modes if mode not in taken))

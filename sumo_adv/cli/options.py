@@ -1,4 +1,4 @@
-"""Options of commands, each with its panel of the help and its default from the settings."""
+"""Define the options of commands, each with its panel of the help and its default from the settings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,16 @@ RUNNING_PANEL = "Running"
 
 
 def option(panel: str, help: str, *flags: str, setting: str = "", default: str = "", **more: Any) -> Any:
-    """An option in a panel of the help, which tells its default: that of a ``setting``, or in words."""
+    """Define an option whose help tells its default.
+
+    Args:
+        panel: The panel of the help.
+        help: What the option does.
+        *flags: The option's names; empty for the parameter's name.
+        setting: The setting whose default is told.
+        default: The default in words, if no setting is given.
+        **more: Further arguments of ``typer.Option``.
+    """
     if setting:
         value = Settings.model_fields[setting].default
         default = f"{value:g}" if isinstance(value, float) else str(value)
@@ -143,7 +152,7 @@ Llm = Annotated[
 
 @dataclass(frozen=True)
 class AttackOptions:
-    """Which attack is wanted."""
+    """Options that say which attack is wanted."""
 
     ask: Annotated[
         str | None,
@@ -175,7 +184,7 @@ class AttackOptions:
 
 @dataclass(frozen=True)
 class InputOptions:
-    """Where it is looked for."""
+    """Options that say where an attack is looked for."""
 
     record: Record = None
     begin: Begin = None
@@ -206,7 +215,7 @@ class InputOptions:
 
 @dataclass(frozen=True)
 class EgoOptions:
-    """What drives the ego."""
+    """Options that say what drives the ego."""
 
     ego: Ego = None
     ego_id: Annotated[str | None, option(EGO_PANEL, "The vehicle under test.", default="chosen")] = None
@@ -230,7 +239,7 @@ class EgoOptions:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """How the attack is searched for."""
+    """Options that say how an attack is searched for."""
 
     tuner: Annotated[
         str | None, option(SEARCH_PANEL, "builtin, or off: try only what the analyzer proposes.", setting="tuner")
@@ -251,7 +260,7 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """Which language model plays which part, and how."""
+    """Options that say which language model plays which role, and how."""
 
     llm: Llm = None
     analyzer: Annotated[
@@ -283,7 +292,7 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What is written, and what is printed."""
+    """Options that say what is written and printed."""
 
     out: Annotated[Path | None, option(OUTPUT_PANEL, "Folder to write.", default="runs/<input>-<seed>")] = None
     force: Annotated[bool, option(OUTPUT_PANEL, "Replace another run's folder.", "--force")] = False
@@ -291,12 +300,23 @@ class OutputOptions:
 
 
 def words(text: str) -> list[str]:
-    """The words of a text with commas between them."""
+    """Split a text at its commas."""
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def set_values(given: Sequence[str], example: str) -> dict[str, Any]:
-    """``--set`` as data: a value is what TOML makes of it, else text. Raises UsageError, with the ``example``."""
+    """Parse the values of ``--set``.
+
+    Args:
+        given: Texts ``NAME=VALUE``. A value is parsed as TOML or, if that fails, taken as text.
+        example: An example for the error.
+
+    Returns:
+        The values by name.
+
+    Raises:
+        UsageError: A text has no ``=`` or no name.
+    """
     values: dict[str, Any] = {}
     for each in given:
         name, equals, value = (word.strip() for word in each.partition("="))

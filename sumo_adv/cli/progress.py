@@ -1,4 +1,7 @@
-"""What a person sees while a command works, and of a run at its end. In pipes: plain lines; with --json: nothing."""
+"""Show people the progress of a command, and the result of a run.
+
+Pipes get plain lines. With ``--json``, nothing is shown.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +26,11 @@ from sumo_adv.words.fit import held
 if TYPE_CHECKING:
     from sumo_adv.benchmark import jobs as bench
 
-PROGRESS_PERIOD_S = 30.0  # between lines of progress where there is no terminal
+PROGRESS_PERIOD_S = 30.0  # between lines of progress without a terminal
 
 
 class LiveDisplay:
-    """A context in which ``_display``, something of rich's, is shown, where there is one."""
+    """A context that shows ``_display``, a live display of rich, if one is set."""
 
     _display: Any = None
 
@@ -42,7 +45,7 @@ class LiveDisplay:
 
 
 class Speaker(LiveDisplay):
-    """Lines, in a terminal above a spinner that says what goes on; nothing if ``quiet``."""
+    """Prints lines, in a terminal above a spinner that names the current activity. Nothing is printed if ``quiet``."""
 
     def __init__(self, first: str, *, quiet: bool) -> None:
         self._quiet, self._console = quiet, None
@@ -53,23 +56,30 @@ class Speaker(LiveDisplay):
             self._display = self._console.status(first)
 
     def say(self, text: str) -> None:
+        """Print a line."""
         if text and self._console is not None:
             self._console.print(clean(text), markup=False)
         elif text and not self._quiet:
             typer.echo(text)
 
     def now(self, words: str) -> None:
+        """Set the text of the spinner."""
         if self._display is not None:
             self._display.update(words)
 
 
 class RunProgress(Speaker):
-    """A line an event; of attempts, the first, and each that came to more than all before in its encounter.
-
-    ``seconds``: that attempts may take in an encounter.
+    """Prints a line for each event, the first attempt, and each attempt that is better than all before in its
+    encounter.
     """
 
     def __init__(self, *, quiet: bool, seconds: float = math.inf) -> None:
+        """Start without an encounter.
+
+        Args:
+            quiet: Whether nothing is printed.
+            seconds: The time that attempts may take in an encounter [s].
+        """
         super().__init__("Looking for an encounter ...", quiet=quiet)
         self._seconds = seconds
         self._begin()
@@ -79,6 +89,7 @@ class RunProgress(Speaker):
         self._rank: tuple[float, float] | None = None
 
     def tell(self, what: str, value: Any) -> None:
+        """Report an event and its value."""
         if self._quiet:
             return
         text = line(what, value)
@@ -106,7 +117,7 @@ class RunProgress(Speaker):
 
 
 class ServeProgress(Speaker):
-    """A line for what matters to a server's user, and a state that counts."""
+    """Prints the events that matter to a server's user, and counts them in the spinner."""
 
     def __init__(self, *, quiet: bool) -> None:
         super().__init__("Starting ...", quiet=quiet)
@@ -126,7 +137,7 @@ class ServeProgress(Speaker):
 
 
 class _Barred(LiveDisplay):
-    """A bar on stderr, with time left; ``note`` stands behind it."""
+    """Shows a bar on stderr, with the time left and a note behind it."""
 
     _task: Any = None
 
@@ -141,7 +152,7 @@ class _Barred(LiveDisplay):
 
 
 class BatchProgress(_Barred):
-    """What went wrong, at once, on stderr; in a terminal that is not a build server's a bar with rate and counts."""
+    """Prints failures at once on stderr. In a terminal outside a build server, it shows a bar with rate and counts."""
 
     def __init__(self, *, quiet: bool) -> None:
         if not quiet and sys.stderr.isatty() and not os.environ.get("CI"):
@@ -181,7 +192,7 @@ class BatchProgress(_Barred):
 
 
 class BenchProgress(_Barred):
-    """A bar in a terminal, else how far it is, every half a minute; nothing if ``quiet``."""
+    """Shows a bar in a terminal, otherwise a line every half minute. Nothing is shown if ``quiet``."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet
@@ -205,23 +216,32 @@ class BenchProgress(_Barred):
 
 
 class Counter:
-    """How far it is, in one line on stderr that is written anew: in a terminal alone, and not if ``quiet``."""
+    """Shows progress in one line of stderr that is overwritten. It needs a terminal and is silent if ``quiet``."""
 
     def __init__(self, what: str, *, quiet: bool) -> None:
         self._what, self._shown, self._said = what, not quiet and sys.stderr.isatty(), False
 
     def tell(self, done: int, of: int, phase: str = "") -> None:
+        """Show the progress.
+
+        Args:
+            done: The number that is done.
+            of: The number of all.
+            phase: A text in front.
+        """
         if self._shown:
             self._said = True
-            words = f"\r{phase}{done} of {of} {self._what} "  # the order in it is ours, which sys.stderr leaves out
+            words = f"\r{phase}{done} of {of} {self._what} "  # sys.stderr would drop the carriage return
             print(words, end="", file=sys.__stderr__, flush=True)
 
     def close(self) -> None:
+        """End the line if anything was shown."""
         if self._said:
             typer.echo(err=True)
 
 
 def stopping_words(now: bool) -> str:
+    """Return what to print when Ctrl-C is pressed, ``now`` for the second time."""
     if now:
         return "Stopping now."
     return "Finishing the episodes that run; Ctrl-C again stops them. Say the same command again to go on."
@@ -231,6 +251,7 @@ def stopping_words(now: bool) -> str:
 
 
 def line(what: str, value: Any) -> str:
+    """Describe an event of a run in a line; '' if it is not shown."""
     if what == "encounter":
         near = ", ".join(f"{i} ({r})" for i, r, _ in value.ranking)
         earlier = len(value.passed_over)
@@ -244,12 +265,13 @@ def line(what: str, value: Any) -> str:
 
 
 def _attempt(a: Attempt) -> str:
+    """Describe an attempt in a line."""
     v, p = a.verdict, a.proposal
     outcome = "collision" if v.collided else (f"min TTC {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no conflict")
     if v.collided and v.preventability is not None:
         who = _preventable(v.preventability.by, v.preventability.inconclusive)
         if not v.preventability.simulated and not v.preventability.inconclusive:
-            who = f"kinematically {who}"  # the check in the loop may find another answer
+            who = f"kinematically {who}"  # the check in the loop may have another result
         level = "" if v.level is Level.COLLISION else f"{v.level}, "
         outcome += f" ({level}{_hard(v.delta_v, v.impact_speed)}, {who})"
     gates = f", not feasible: {', '.join(v.failed_gates)}" if v.failed_gates else ""
@@ -259,6 +281,15 @@ def _attempt(a: Attempt) -> str:
 
 
 def summary(result: Mapping[str, Any], folder: Path) -> str:
+    """Describe the result of a run.
+
+    Args:
+        result: The content of ``outcome.json``.
+        folder: The folder of the run.
+
+    Returns:
+        The lines, joined.
+    """
     lines = [_result(result)]
     tried = result.get("encounters_tried") or []
     if tried:
@@ -292,7 +323,7 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
 
 
 def _result(result: Mapping[str, Any]) -> str:
-    """How the run ended, after how many attempts, and what was wanted."""
+    """Say how the run ended, after how many attempts, and what was wanted."""
     tried, ending = len(result["attempts"]), str(result["ending"])
     of = f" after {tried} of {result['attempts_allowed']} attempts (criterion: {result['goal']})" if tried else ""
     if ending != Ending.GOAL_MET:
@@ -304,18 +335,20 @@ def _result(result: Mapping[str, Any]) -> str:
 
 
 def _overridden(actions: Mapping[str, int]) -> str:
-    """How often SUMO did not do what a driver that answers with ``LaneSpeed`` asked for."""
+    """Say how often SUMO limited what a driver with ``LaneSpeed`` asked for."""
     steps = actions["LaneSpeed"]
     return f"SUMO's safe speed limited what the ego's driver asked for in {actions['limited']} of {steps} steps."
 
 
 def _before(raw: Mapping[str, Any]) -> str:
+    """Describe the baseline."""
     if raw["collided"]:
         return "collision"
     return "no conflict" if raw["min_ttc"] is None else f"min TTC {raw['min_ttc']:.2f} s"
 
 
 def _after(best: Mapping[str, Any]) -> str:
+    """Describe the attempt that counts."""
     if not best["collided"]:
         near = "no conflict" if best["min_ttc"] is None else f"min TTC {best['min_ttc']:.2f} s"
         return f"{near}{_flaws(best)}"
@@ -347,7 +380,7 @@ def _preventable(by: Sequence[str], inconclusive: str | None) -> str:
 
 
 def _flaws(verdict: Mapping[str, Any]) -> str:
-    """What keeps an attempt from counting."""
+    """Say what keeps an attempt from counting."""
     reasons = [g.replace("_", " ") for g in verdict["failed_gates"]]
     reasons += ["rear-end"] if verdict["rear_end"] else []
     return f" ({', '.join(reasons)})" if reasons else ""
@@ -357,7 +390,7 @@ def _flaws(verdict: Mapping[str, Any]) -> str:
 
 
 def _doing(event: Mapping[str, Any]) -> str:
-    """What goes on after an event; empty if as before."""
+    """Describe the activity after an event; '' if it does not change."""
     kind, time = event["event"], event.get("time")
     if kind == "client":
         return "The client drives" if event["state"] == "connected" else "Waiting for a client"
@@ -371,7 +404,7 @@ def _doing(event: Mapping[str, Any]) -> str:
 
 
 def served(event: Mapping[str, Any]) -> str:
-    """An event in words; empty for those that only programs want."""
+    """Describe a server's event in words; '' for events that only programs need."""
     kind = event["event"]
     if kind == "listening":
         opens = f"\n{event['opens']}" if event["opens"] else ""
@@ -392,6 +425,7 @@ def served(event: Mapping[str, Any]) -> str:
 
 
 def _served_attempt(event: Mapping[str, Any]) -> str:
+    """Describe an attempt of a server in a line."""
     outcome = "collision" if event["collided"] else "no conflict"
     if not event["collided"] and event["min_ttc"] is not None:
         outcome = f"min TTC {event['min_ttc']:.2f} s"

@@ -1,4 +1,4 @@
-"""``rate``: how often the ego crashes in normal traffic, by importance sampling."""
+"""Define ``rate``: estimate how often the ego crashes in normal traffic, by importance sampling."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Out = Annotated[
 
 @dataclass(frozen=True)
 class SamplingOptions:
-    """How many runs are drawn, and from what."""
+    """Options that say how many runs are drawn, and from what."""
 
     runs: Runs = 1000
     pilot: Annotated[
@@ -46,7 +46,7 @@ class SamplingOptions:
 
 @dataclass(frozen=True)
 class TrafficOptions:
-    """The traffic in which the ego drives."""
+    """Options of the traffic in which the ego drives."""
 
     duration: Annotated[
         float, option(INPUT_PANEL, "How long the ego drives at most in a run, s.", default="60", min=1)
@@ -91,6 +91,7 @@ def rate(
 
 
 def lines(found: RateEstimate) -> list[str]:
+    """Describe an estimate in a table and sentences."""
     words = ("per 1000 h", "per million km", "half width", "crashes", "plain runs")
     shown = ["{:<10} {:>26} {:>26} {:>10} {:>7} {:>10}".format("level", *words)]
     for level, hourly in found.per_hour.items():

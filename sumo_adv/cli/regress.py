@@ -1,4 +1,8 @@
-"""``keep``: found attacks as the cases of a suite; ``regress``: the cases against a driver, each attacked again."""
+"""Define ``keep`` and ``regress``.
+
+``keep`` turns found attacks into the cases of a suite. ``regress`` runs the cases against a driver, each with a new
+attack.
+"""
 
 from __future__ import annotations
 
@@ -86,20 +90,25 @@ def keep(
 
 @dataclass(frozen=True)
 class _Keeping:
-    """What ``keep`` did with each run."""
+    """What ``keep`` did with each run.
+
+    Attributes:
+        kept: The run of each new case.
+        there_already: The cases that were in the suite already.
+        left_out: Runs with another level or scenario.
+        not_passed: Why no reference driver passes the attack of a run.
+    """
 
     kept: dict[Path, Path] = field(default_factory=dict)
-    """The run of each new case."""
     there_already: list[Path] = field(default_factory=list)
     left_out: list[Path] = field(default_factory=list)
     not_passed: dict[Path, str] = field(default_factory=dict)
-    """Why no reference driver passes the attack of a run."""
 
 
 def _sorted(
     runs: Sequence[Path], given: Set[Path], suite: Path, level: Until, only: Sequence[ScenarioName], name: str | None
 ) -> tuple[_Keeping, list[Path]]:
-    """The runs that are settled at once, and those that reference drivers must drive first."""
+    """Separate the runs that are settled at once from those that reference drivers must drive first."""
     from sumo_adv.regression.keep import held_in
     from sumo_adv.report.read import read_outcome, reading
     from sumo_adv.report.run_outcome import level_named
@@ -121,7 +130,7 @@ def _sorted(
 
 
 def _expected(avoid: Until | None, min_ttc: float | None, *, no_worse: bool) -> Expectation | None:
-    """What the options expect of the ego; None if none of them was given."""
+    """Return what the options expect of the ego; None if none of them was given."""
     from sumo_adv.regression.case import Expectation
 
     if avoid is None and min_ttc is None and not no_worse:
@@ -149,7 +158,11 @@ def _say(done: _Keeping, suite: Path, level: Until, other: str, *, as_json: bool
 
 
 def _scenarios(given: str | None) -> tuple[ScenarioName, ...]:
-    """The named scenarios of a filter. Raises UsageError: one is unknown."""
+    """Find the named scenarios of a filter.
+
+    Raises:
+        UsageError: A scenario is unknown.
+    """
     from sumo_adv.scenario_names import wanted
 
     try:
@@ -219,7 +232,11 @@ def regress(
 
 
 def _waivers(suite: Path, given: Path | None, cases: list[str]) -> Waivers:
-    """The waivers for the cases that run: those of the file, else those of the suite. Raises UsageError."""
+    """Read the waivers for the cases that run, from the given file or otherwise from the suite.
+
+    Raises:
+        UsageError: The waivers are bad.
+    """
     from sumo_adv.regression.case import CASE_FILE
     from sumo_adv.regression.waivers import WAIVERS, Waivers, read_waivers
 

@@ -1,4 +1,4 @@
-"""``report``: a run, or a batch of them, as pages to look at; ``figure``: pictures and films."""
+"""Define ``report``, which makes pages of a run or a batch, and ``figure``, which makes pictures and films."""
 
 from __future__ import annotations
 
@@ -54,6 +54,7 @@ def report(
 
 
 def _run(folder: Path, out: Path | None) -> dict[str, Any]:
+    """Make the page of a run."""
     from sumo_adv.report.document import write_document
     from sumo_adv.report.page import make_page
 
@@ -69,6 +70,7 @@ def _run(folder: Path, out: Path | None) -> dict[str, Any]:
 def _batch(
     folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
 ) -> dict[str, Any]:
+    """Make the index and the pages of a batch, or of runs side by side."""
     from sumo_adv.campaigns.store import packed_texts, unpack_runs
     from sumo_adv.cli.progress import Counter
     from sumo_adv.report.coverage import campaign_coverage, write_coverage
@@ -110,7 +112,7 @@ def _words(made: Report) -> str:
 
 
 def _loose(folder: Path) -> list[Path]:
-    """Runs side by side in a folder, as ``serve`` leaves them."""
+    """List runs side by side in a folder, as ``serve`` leaves them."""
     return sorted(f.parent for f in folder.glob(f"*/{OUTCOME_FILE}")) if folder.is_dir() else []
 
 
@@ -144,6 +146,7 @@ def figure(
 
 
 def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
+    """Draw a hunt's failures over time."""
     from sumo_adv.hunting.rounds import over_time
     from sumo_adv.report.figures import draw_over_time, save
 
@@ -157,6 +160,7 @@ def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
 
 
 def _draw_run(folder: Path, target: Path, kind: str) -> None:
+    """Draw or film a run."""
     from sumo_adv.report.figures import draw_paper, read_story, save, write_film
     from sumo_adv.report.read import reading
 

@@ -1,4 +1,7 @@
-"""``run``: one encounter, from a network to a dangerous one; ``minimise``: the mildest variant of an attack."""
+"""Define ``run`` and ``minimise``.
+
+``run`` finds an encounter in an input and attacks the ego in it. ``minimise`` finds the mildest variant of an attack.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
     from sumo_adv.simulation.inputs import RunInput
 
 EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until valid --out runs/mine"
-OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count with --replay; ego confirms a class
+OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that --replay uses; ego confirms a class
 
 
 @grouped
@@ -62,7 +65,11 @@ def run(
 
 
 def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[RunInput, str | None]:
-    """The input and the driver of its ego. Raises UsageError without an input."""
+    """Load the input, and choose the driver of its ego.
+
+    Raises:
+        UsageError: No input is given, or it is bad.
+    """
     from sumo_adv.drivers.registry import trusted_driver
 
     if source is None:
@@ -86,7 +93,17 @@ def _run(run_input: RunInput, settings: Settings, output: opt.OutputOptions) -> 
 
 
 def finish(folder: RunFolder, run: Run, *, force: bool, as_json: bool) -> None:
-    """Write the folder of a run and say what it came to. Raises typer.Exit if it failed."""
+    """Write the folder of a run and print the result.
+
+    Args:
+        folder: The folder to write.
+        run: The run.
+        force: Whether an existing folder is replaced.
+        as_json: Whether the output is JSON.
+
+    Raises:
+        typer.Exit: The run failed.
+    """
     from sumo_adv.cli.progress import summary
     from sumo_adv.report.folder import write_run
 
@@ -102,7 +119,11 @@ def finish(folder: RunFolder, run: Run, *, force: bool, as_json: bool) -> None:
 
 
 def _refuse_what_a_replay_ignores(context: typer.Context, source: Path | None) -> None:
-    """Raises UsageError for an INPUT, and for the first option that a replay takes from the manifest."""
+    """Refuse what a replay takes from the manifest.
+
+    Raises:
+        UsageError: An INPUT or such an option is given. The message names the first one.
+    """
     if source is not None:
         raise UsageError("Give either an INPUT or --replay DIR, not both.")
     for parameter in context.command.params:
@@ -115,6 +136,7 @@ def _refuse_what_a_replay_ignores(context: typer.Context, source: Path | None) -
 
 
 def _replay(path: Path, ego: str | None, output: opt.OutputOptions) -> None:
+    """Repeat the attempt that a run's manifest records."""
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.manifest import read_manifest
 
@@ -131,8 +153,19 @@ def _replay(path: Path, ego: str | None, output: opt.OutputOptions) -> None:
 
 
 def show_prompts_of(run_input: RunInput, settings: Settings, *, as_json: bool) -> None:
-    """Print the analyzer's prompt, the generator's as if the first intent were new, and the modifier's after one
-    attempt of the search's."""
+    """Print the prompts that models would get in an encounter of the input.
+
+    These are the analyzer's, the generator's as if the first intent were new, and the modifier's after one attempt of
+    the search.
+
+    Args:
+        run_input: The input.
+        settings: The settings of the run.
+        as_json: Whether the output is JSON.
+
+    Raises:
+        UsageError: There is nothing to ask about.
+    """
     prompts = _prompts(run_input, settings)
     if as_json:
         entries = [{"agent": p.agent, "tokens": p.tokens, "system": p.system, "user": p.user} for p in prompts]
@@ -163,6 +196,7 @@ def _prompts(run_input: RunInput, settings: Settings) -> list[Prompt]:
 
 
 def _analyzer(prepared: PreparedEncounter, settings: Settings, bank: Any) -> Prompt:
+    """Make the analyzer's prompt."""
     from sumo_adv.agents.analyzer import analyzer_prompt
     from sumo_adv.agents.ways import evidence_words
     from sumo_adv.episode.memory_access import remembered
@@ -177,6 +211,7 @@ def _analyzer(prepared: PreparedEncounter, settings: Settings, bank: Any) -> Pro
 
 
 def _writers(prepared: PreparedEncounter, settings: Settings, agents: Any, engine: EpisodeEngine) -> list[Prompt]:
+    """Make the generator's prompt and, if an attempt can be made, the modifier's."""
     from sumo_adv.agents.generator import generator_prompt
     from sumo_adv.agents.modifier import modifier_prompt
     from sumo_adv.episode.assessment import AttemptRunner

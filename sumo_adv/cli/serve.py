@@ -1,4 +1,4 @@
-"""``serve``: attack an ego that another program drives, over TraCI; and the folder that it writes."""
+"""Define ``serve``: attack an ego that another program drives over TraCI, and write the server's folder."""
 
 from __future__ import annotations
 
@@ -35,11 +35,19 @@ if TYPE_CHECKING:
 SERVE_FILE = "serve.json"
 SERVE_SCHEMA = 1
 SERVES = re.compile(r"serve\.json|\.?encounter-\d+.*|inputs|report|.*\.jsonl")
-"""What a server and ``report`` write into its folder."""
+"""Names of what a server, or ``report``, writes into the server's folder."""
 
 
 def claim(target: Path, *, force: bool) -> None:
-    """Make the output folder. Raises UsageError if it is taken or cannot be made."""
+    """Make the output folder.
+
+    Args:
+        target: The folder.
+        force: Whether an existing folder of another server is replaced.
+
+    Raises:
+        UsageError: The folder exists already, or cannot be made.
+    """
     try:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             if not force:
@@ -52,7 +60,11 @@ def claim(target: Path, *, force: bool) -> None:
 
 
 def _check_replaceable(target: Path) -> None:
-    """Raises UsageError for a folder that --force does not replace: no server's, or one that holds something else."""
+    """Check that ``--force`` may replace a folder.
+
+    Raises:
+        UsageError: It is not the folder of a server, or it holds something else.
+    """
     advice = "so --force does not replace it; give another --out"
     if target.is_symlink() or not (target / SERVE_FILE).is_file():
         raise UsageError(f"{target} is not the folder of a server, {advice}.")
@@ -65,7 +77,15 @@ def _check_replaceable(target: Path) -> None:
 
 
 def note(target: Path, given: Any, settings: Settings, options: Options, summary: Mapping[str, Any] | None) -> None:
-    """``serve.json``: the job of this server, and at the end its outcome."""
+    """Write ``serve.json``: the job of this server, and at the end its outcome.
+
+    Args:
+        target: The server's folder.
+        given: The input.
+        settings: The settings.
+        options: The options of the server.
+        summary: The outcome; None before the end.
+    """
     from sumo_adv.report.outcome import versions
 
     secret = {"memory", "llm_api_key", "llm_base_url"}
@@ -77,7 +97,16 @@ def note(target: Path, given: Any, settings: Settings, options: Options, summary
 
 
 def folder_writer(target: Path) -> Callable[[Any, int], dict[str, Any]]:
-    """Writes one encounter's folder whole; inputs that several have are on the disk once."""
+    """Make a function that writes one encounter's folder whole.
+
+    Inputs that several encounters share are stored once.
+
+    Args:
+        target: The server's folder.
+
+    Returns:
+        The function. It takes a run and its number, and returns the content of ``outcome.json`` with the folder.
+    """
     from sumo_adv.campaigns.worker import share
     from sumo_adv.report.folder import write_run
 
@@ -94,12 +123,12 @@ def folder_writer(target: Path) -> Callable[[Any, int], dict[str, Any]]:
 EXAMPLE = (
     "Example: sumo-adv serve motorway --encounters 1, and in another terminal python examples/external_ego/idm_ego.py"
 )
-CONTINUOUS_SIMULATION_S = 3600.0  # s of simulation in continuous mode, where nothing else says how long
+CONTINUOUS_SIMULATION_S = 3600.0  # default of the setting ``search`` in continuous mode
 
 
 @dataclass(frozen=True)
 class ClientOptions:
-    """Who may connect, and what is expected of the client."""
+    """Options that say who may connect, and what is expected of the client."""
 
     mode: Annotated[
         Mode, typer.Option(help="continuous: encounter after encounter; episodes: each again, refined.")
@@ -132,7 +161,7 @@ class ClientOptions:
 
 @dataclass(frozen=True)
 class AttackOptions:
-    """Which attack is wanted."""
+    """Options that say which attack is wanted."""
 
     adversary: opt.Adversary = None
     adversaries: opt.Adversaries = None
@@ -144,7 +173,7 @@ class AttackOptions:
 
 @dataclass(frozen=True)
 class InputOptions:
-    """The simulation in which the client drives."""
+    """Options of the simulation in which the client drives."""
 
     begin: opt.Begin = None
     end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None
@@ -154,7 +183,7 @@ class InputOptions:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """How an attack is searched for, with which bank and model."""
+    """Options that say how an attack is searched for, and with which bank and model."""
 
     llm: opt.Llm = None
     learn: opt.Learn = None
@@ -164,7 +193,7 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What is written, told and printed."""
+    """Options that say what is written and printed."""
 
     out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/serve-<input>-<seed>).")] = None
     force: Annotated[bool, typer.Option("--force", help="Replace another server's folder.")] = False
@@ -216,7 +245,11 @@ def _options(client: ClientOptions) -> Options:
 
 
 def _input(source: Path) -> Any:
-    """The input. Raises UsageError if it plays a log back, or if SUMO's programs are not installed."""
+    """Load the input.
+
+    Raises:
+        UsageError: The input is bad or plays a log back, or the program ``sumo`` is not installed.
+    """
     from sumo_adv.simulation.programs import find_sumo
 
     find_sumo()
@@ -227,6 +260,7 @@ def _input(source: Path) -> Any:
 
 
 def _serve(given: Any, settings: Settings, options: Options, output: OutputOptions) -> None:
+    """Serve clients until the encounters are done or the user interrupts."""
     from sumo_adv.cli.interrupts import Interrupts
     from sumo_adv.cli.progress import ServeProgress
     from sumo_adv.report.outcome import MODEL_FILE
@@ -285,7 +319,10 @@ def _gate(options: Options, events: Events) -> Gate:
 
 
 def _teller(events: Events) -> Callable[[GateEvent], None]:
-    """Tells what happens at the gate; ``again`` where a client only comes back to a new simulation."""
+    """Report what happens at the gate.
+
+    The events tell by ``again`` if a client only comes back to a new simulation.
+    """
     from sumo_adv.serve.seat import EventKind
 
     before = EventKind.CLOSED
@@ -300,14 +337,14 @@ def _teller(events: Events) -> Callable[[GateEvent], None]:
 
 
 def _tasks(given: Any, settings: Settings, scratch: Path) -> Callable[[int], Task]:
-    """The task of each simulation: the same input with the next seed."""
+    """Make the task of each simulation: the same input with the next seed."""
     from sumo_adv.episode.task import make_task
 
     @cache
     def first() -> Task:
         return make_task(given, settings, scratch)
 
-    def task_for(round_: int) -> Task:  # only the first one is asked for again
+    def task_for(round_: int) -> Task:  # only the first one is needed again
         if round_ == 0:
             return first()
         return make_task(given, settings.model_copy(update={"seed": settings.seed + round_}), scratch)
@@ -325,6 +362,11 @@ def _summary(ending: Ending | None, reason: str, writer: ResultWriter, target: P
 def _finish(
     ending: Ending | None, summary: Mapping[str, Any], writer: ResultWriter, options: Options, *, as_json: bool
 ) -> None:
+    """Print the summary.
+
+    Raises:
+        SumoAdvError: A folder could not be written, or the server ended early.
+    """
     if as_json:
         typer.echo(json.dumps(summary, ensure_ascii=False))
     else:
@@ -336,6 +378,6 @@ def _finish(
             typer.echo(summary["reason"])
     if writer.failure is not None:
         raise SumoAdvError(str(writer.failure))
-    interrupted = ending is Ending.INTERRUPTED and options.encounters is None  # Ctrl-C is how such a server ends
+    interrupted = ending is Ending.INTERRUPTED and options.encounters is None  # such a server is meant to end by Ctrl-C
     if ending is not None and not interrupted:
         raise SumoAdvError(summary["reason"])

@@ -1,4 +1,4 @@
-"""``sweep``: one attack over ranges of its numbers, and the border between pass and fail."""
+"""Define ``sweep``: vary the numbers of one attack over ranges, and find the border between pass and fail."""
 
 from __future__ import annotations
 
@@ -85,7 +85,11 @@ def sweep(
 
 
 def _case(given: Path, ego: str, scratch: Path) -> KeptCase:
-    """The case in a folder, of a run, or of an attack that is found in a scenario. Raises UsageError."""
+    """Read a kept case, or make one of a run or of an attack that is searched for in a scenario.
+
+    Raises:
+        UsageError: No attack was found, or the run cannot be kept.
+    """
     from sumo_adv.regression.case import Expectation, read_case
     from sumo_adv.regression.keep import keep_run
 
@@ -110,7 +114,7 @@ def _case(given: Path, ego: str, scratch: Path) -> KeptCase:
 def _swept(
     case: KeptCase, axes: Sequence[Axis], driver: str, avoid: Until, points: int, *, whole: bool, quiet: bool
 ) -> Points:
-    """The points of one driver."""
+    """Measure the points of one driver."""
     from sumo_adv.cli.progress import Counter
     from sumo_adv.regression.case import Expectation
     from sumo_adv.regression.sweep import Sweep, SweepRunner, swept

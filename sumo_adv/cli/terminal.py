@@ -1,4 +1,7 @@
-"""What goes to a terminal: names come from files of others, and may hold sequences that steer it."""
+"""Clean what goes to a terminal.
+
+Names come from other people's files, and may hold sequences that control the terminal.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +10,31 @@ from typing import Any, TextIO
 
 _SEQUENCE = re.compile(
     r"(\x1b\[[0-9;]*m)"  # a colour: kept
-    r"|\x1b\[[0-?]*[ -/]*[@-~]"  # moves, erases ...
+    r"|\x1b\[[0-?]*[ -/]*[@-~]"  # moves the cursor, erases ...
     r"|\x1b[\]PX^_].*?(?:\x07|\x1b\\|$)"  # titles, the clipboard, links ...
-    r"|\x1b.?|[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]",  # the rest, and marks that turn text round
+    r"|\x1b.?|[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]",  # the rest, and marks that reverse text
     re.DOTALL,
 )
 
 
 def clean(text: str) -> str:
-    """A text of any source without what a terminal would take for an order; colours and line ends stay."""
+    """Remove what a terminal would take as an order. Colours and line ends stay."""
     return _SEQUENCE.sub(lambda match: match[1] or "", text)
 
 
 class Cleaned:
-    """A stream to a terminal that writes texts cleaned, and is the stream else."""
+    """A stream to a terminal that cleans the texts written to it. Everything else is the stream's own."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write the text without orders to the terminal; the number of characters that it had."""
+        """Write the cleaned text, and return the length of the original."""
         self._stream.write(clean(text))
         return len(text)
 
     def writelines(self, lines: Any) -> None:
+        """Write lines, cleaned."""
         for line in lines:
             self.write(line)
 
@@ -39,5 +43,5 @@ class Cleaned:
 
 
 def cleaned(stream: TextIO | None) -> Any:
-    """The stream, cleaned where it is a terminal."""
+    """Return the stream, wrapped in ``Cleaned`` if it is a terminal."""
     return Cleaned(stream) if stream is not None and stream.isatty() else stream

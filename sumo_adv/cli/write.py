@@ -1,4 +1,4 @@
-"""``write``: a scenario from words or from a crash report, built and run."""
+"""Define ``write``: make a scenario from words or a crash report, and run it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from sumo_adv.words.author import Played
 
 EXAMPLE = 'Example: sumo-adv write "A car squeezes in right before me and brakes." --out my.toml --llm deepseek-chat'
-MAX_REPORT_BYTES = 100_000  # of a report
+MAX_REPORT_BYTES = 100_000  # largest report
 COMPANION_ENDINGS = (".rou.xml", ".net.xml", ".add.xml")  # files that a scenario may have beside it
 
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What is written."""
+    """Options that say what is written."""
 
     out: Annotated[Path, option(OUTPUT_PANEL, "Scenario to write.", metavar="FILE.toml", default="written.toml")] = (
         Path("written.toml")
@@ -48,7 +48,7 @@ class OutputOptions:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Settings of the run."""
+    """Options of the run."""
 
     llm: opt.Llm = None
     ego: opt.Ego = None
@@ -91,6 +91,11 @@ def write(
 
 
 def _request(words: str | None, report: Path | None) -> str:
+    """Return the words of the command line, or those of a report.
+
+    Raises:
+        UsageError: Both or none are given, or the report cannot be read.
+    """
     if (words is None) == (report is None):
         raise UsageError('Say what is to happen, as sumo-adv write "A car cuts in.", or give --report FILE, not both.')
     if report is None:
@@ -109,12 +114,14 @@ def _request(words: str | None, report: Path | None) -> str:
 
 
 def _refuse_what_is_there(out: Path, folder: Path, *, force: bool) -> None:
+    """Refuse to replace files unless ``force`` is given."""
     taken = [p for p in (out, *_beside(out), folder) if p.exists()]
     if taken and not force:
         raise UsageError(f"{taken[0]} is there already; give another --out, or --force to replace it.")
 
 
 def _beside(scenario: Path) -> list[Path]:
+    """List the files that a scenario may have beside it."""
     return [scenario.with_name(f"{scenario.stem}{ending}") for ending in COMPANION_ENDINGS]
 
 
@@ -122,7 +129,7 @@ def _write(
     request: str, model: str, settings: Settings, network: Path | None, out: Path, folder: Path, *, force: bool,
     quiet: bool,
 ) -> Played:  # fmt: skip
-    """Have the scenario written and run; its files then lie at ``out`` and in ``folder``."""
+    """Have the scenario written and run, and put its files at ``out`` and in ``folder``."""
     from sumo_adv.agents.inventions import Inventions
     from sumo_adv.llm.asking import MeteredModel
     from sumo_adv.llm.chat import Ledger
@@ -170,7 +177,7 @@ def _write(
 
 
 def _run(scenario: Path, folder: Path, goal: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
-    """Run a scenario into a folder; what its ``outcome.json`` holds."""
+    """Run a scenario into a folder, and return the content of its ``outcome.json``."""
     from sumo_adv.report.folder import write_run
 
     run_input = app.load(scenario, None)
