@@ -50,7 +50,7 @@ class Result:
             keep: A temporary folder that is removed with this object; None if the run's folder stays.
         """
         self.folder = folder
-        self._keep = keep  # a temporary folder lives as long as this object
+        self._keep = keep  # keeps a temporary folder as long as this object exists
 
     @cached_property
     def outcome(self) -> Outcome:
@@ -219,7 +219,7 @@ def run(
     try:
         with staged(target, force=force) as folder, scratch_folder() as scratch:
             played = play(run_input, chosen, folder.stage, scratch, tell or (lambda *_: None), ego=packed)
-            from sumo_adv.report.folder import write_run  # here, since loading it would keep the engine waiting
+            from sumo_adv.report.folder import write_run  # here, since loading it would delay the engine
 
             write_run(folder, played)
             folder.keep(force=force)

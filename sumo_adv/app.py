@@ -237,7 +237,7 @@ def play(
         run_input: The input.
         settings: The settings of the run.
         stage: The folder in which the models' answers are recorded.
-        scratch: The folder for generated demand. The episode needs it until it is written.
+        scratch: The folder for generated demand. It is needed until the run is written.
         tell: Called with each event and its value.
         played: Called when the episode ends, before its processes end.
         ego: The driver if it is a class or an object from Python, otherwise None.
@@ -423,8 +423,8 @@ def new_engine() -> Iterator[EpisodeEngine]:
 def _without_main() -> Iterator[None]:
     """Start processes that do not import the main module.
 
-    A spawned process imports the main module if that has a file. Without that import, scripts need no guard (``if
-    __name__ == "__main__"``).
+    A spawned process imports the main module if that has a file. Without that import, scripts need no guard
+    (``if __name__ == "__main__"``), and notebooks need no file.
     """
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")

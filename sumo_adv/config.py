@@ -325,7 +325,7 @@ def reachable(settings: Settings) -> bool:
 def forget_environment() -> None:
     """Remove the settings from this process's environment, apart from the model's key.
 
-    For workers: their plan contains the settings of the environment in which it was made.
+    Workers call it, because their plan contains the settings of the environment in which it was made.
     """
     for name in [n for n in os.environ if n.upper().startswith(SETTING_PREFIX) and n.upper() != API_KEY_VARIABLE]:
         del os.environ[name]

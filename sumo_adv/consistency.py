@@ -99,7 +99,7 @@ class GivenMotion:
     """
 
     name: str
-    kind: str  # vehicle | pedestrian | cyclist | other
+    kind: str
     time: Floats
     x: Floats
     y: Floats

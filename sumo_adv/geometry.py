@@ -11,7 +11,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
 
-PATH_STEP_M = 0.5  # between samples of a path
+PATH_STEP_M = 0.5  # distance between samples of a path
 HEADING_SMOOTHING_M = 1.5  # length over which headings are averaged
 PATH_BRAKING_M_S2 = 4.0  # deceleration before bends
 # numbers of smoothing passes for a path with a bend that is too tight; each adds to those before it

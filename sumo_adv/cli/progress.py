@@ -241,7 +241,11 @@ class Counter:
 
 
 def stopping_words(now: bool) -> str:
-    """Return what to print when Ctrl-C is pressed, ``now`` for the second time."""
+    """Return what to print when Ctrl-C is pressed.
+
+    Args:
+        now: Whether it was pressed again.
+    """
     if now:
         return "Stopping now."
     return "Finishing the episodes that run; Ctrl-C again stops them. Say the same command again to go on."
@@ -251,7 +255,7 @@ def stopping_words(now: bool) -> str:
 
 
 def line(what: str, value: Any) -> str:
-    """Describe an event of a run in a line; '' if it is not shown."""
+    """Describe an event of a run; '' if it is not shown."""
     if what == "encounter":
         near = ", ".join(f"{i} ({r})" for i, r, _ in value.ranking)
         earlier = len(value.passed_over)
@@ -265,7 +269,7 @@ def line(what: str, value: Any) -> str:
 
 
 def _attempt(a: Attempt) -> str:
-    """Describe an attempt in a line."""
+    """Describe an attempt."""
     v, p = a.verdict, a.proposal
     outcome = "collision" if v.collided else (f"min TTC {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no conflict")
     if v.collided and v.preventability is not None:
@@ -425,7 +429,7 @@ def served(event: Mapping[str, Any]) -> str:
 
 
 def _served_attempt(event: Mapping[str, Any]) -> str:
-    """Describe an attempt of a server in a line."""
+    """Describe an attempt of a server."""
     outcome = "collision" if event["collided"] else "no conflict"
     if not event["collided"] and event["min_ttc"] is not None:
         outcome = f"min TTC {event['min_ttc']:.2f} s"

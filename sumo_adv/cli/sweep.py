@@ -137,7 +137,11 @@ def _swept(
 
 
 def _write(done: Sweep, target: Path) -> None:
-    """Write the table, the JSON and the pictures. Raises OSError."""
+    """Write the table, the JSON and the pictures.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
     import numpy as np
 
     from sumo_adv.regression.sweep import REFERENCE, PointResult
