@@ -106,6 +106,16 @@ class AlwaysExits(ExitsProcess):
     visits = (1,)
 
 
+class Slow(Sleeps):
+    """Takes 0.2 s for each of its answers, and never hangs."""
+
+    visits = tuple(range(1, 1000))
+
+    def stick(self) -> None:
+        """Take its time."""
+        time.sleep(0.2)
+
+
 class ExitsAtOnce(Sleeps):
     """Ends the interpreter when it is made."""
 

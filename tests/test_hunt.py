@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ ROW: Mapping[str, Any] = {
 }  # fmt: skip
 
 
+Finished = Callable[[Mapping[str, Any]], None]
 OUTCOME = '{"attempts": [], "encounter": null, "timing": {"first_success": 2.0}}'
 
 
@@ -111,7 +112,7 @@ class Campaigns:
         self.rounds: list[tuple[tuple[str, ...], tuple[int, ...]]] = []
         self.bounds: list[tuple[float, int]] = []  # s of an encounter, and kinds of attacks
 
-    def __call__(self, plan: CampaignPlan, orders: Orders) -> Summary:
+    def __call__(self, plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
         self.rounds.append((tuple(i.name for i in plan.inputs), tuple(plan.seeds)))
         self.bounds.append((plan.variants[0]["seconds"], plan.variants[0]["diverse"]))
         rows = []
@@ -122,7 +123,10 @@ class Campaigns:
             level = "serious" if job.input.name == "good" else "collision"
             kind = f"Cut / neighbour / side {job.seed}"
             rows.append(row(id=job.id, network=job.input.name, seed=job.seed, level=level, kind=kind))
-        return Summary(orders.out, len(rows), rows, len(rows))
+            finished(rows[-1])
+            if orders.stop.drain:
+                break
+        return Summary(orders.out, len(plan.jobs), rows, len(rows), len(rows) < len(plan.jobs), orders.stop.drain)
 
 
 def plan_of(*names: str) -> CampaignPlan:
@@ -139,13 +143,13 @@ def hunted(folder: Path, campaign: RunCampaign, most: int | None = 4, plan: Camp
 def test_an_encounter_gets_three_times_the_median_first_success_and_more_kinds_where_nothing_new_comes(
     tmp_path: Path,
 ) -> None:
-    """A hunt with two rounds of three failures each, and four rounds of an input that never fails."""
+    """A hunt with a round of one failure and rounds of three, and five rounds of an input that never fails."""
     good, dull = Campaigns(), Campaigns()
     hunted(tmp_path, good, most=6, plan=plan_of("good"))
-    assert good.bounds == [(20.0, 1), (6.0, 1)]
+    assert good.bounds == [(20.0, 1), (6.0, 1), (6.0, 1)]
 
-    def four(plan: CampaignPlan, orders: Orders) -> Summary:
-        return replace(dull(plan, orders), interrupted=len(dull.rounds) == 4)
+    def four(plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
+        return replace(dull(plan, orders, finished), interrupted=len(dull.rounds) == 4)
 
     hunted(tmp_path / "dull", four, most=None, plan=plan_of("dull"))
     assert [kinds for _, kinds in dull.bounds] == [1, 1, 3, 3]
@@ -157,15 +161,54 @@ def test_an_encounter_may_be_given_more_or_less_time_at_first(tmp_path: Path) ->
         campaign = Campaigns()
         orders = Orders(tmp_path / str(longest) / "out", tmp_path / "bank.sqlite", {}, WorkerPace(1, 60.0, 200))
         Hunt(plan_of("good"), orders, campaign, 10.0, 6, longest=longest).run(lambda _: None)
-        assert [seconds for seconds, _ in campaign.bounds] == [first, min(longest, 6.0)]
+        assert [seconds for seconds, _ in campaign.bounds] == [first, *[min(longest, 6.0)] * 2]
+
+
+def test_an_encounter_has_time_for_twelve_attempts_whatever_one_costs(tmp_path: Path) -> None:
+    """The two attempts of an episode took 10 s, so twelve take 60 s; that is a tenth of what is left of 10 min."""
+    campaign = Campaigns()
+
+    def costly(plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
+        summary = campaign(plan, orders, lambda _: None)
+        for file in orders.out.glob("runs/*/outcome.json"):
+            file.write_text('{"attempts": [], "encounter": null, "timing": {"attempts": 10.0, "total": 12.0}}')
+        return replace(summary, interrupted=len(campaign.rounds) == 2)
+
+    hunted(tmp_path, costly, None, plan_of("dull"))
+    assert [seconds for seconds, _ in campaign.bounds] == [20.0, pytest.approx(60.0, abs=0.1)]
+
+
+def test_a_line_follows_when_an_episode_brings_a_new_failure(tmp_path: Path) -> None:
+    """Three failures of a kind each are told one by one, also within a round; what ``dull`` brings is not told."""
+    told: list[HuntProgress] = []
+    orders = Orders(tmp_path / "out", tmp_path / "bank.sqlite", {}, WorkerPace(1, 60.0, 200))
+    Hunt(plan_of("good"), orders, Campaigns(), 10.0, 3).run(told.append)
+    assert [progress.count(Level.SERIOUS) for progress in told] == [1, 2, 3]
+    assert [progress.newest is not None for progress in told] == [True] * 3
+
+
+def test_what_the_workers_spent_their_time_on_comes_to_the_time_of_the_hunt(tmp_path: Path) -> None:
+    """Each episode of 0.3 s says that attempts took 0.2 s of 0.25 s; the other 0.05 s are ``between``."""
+    campaign = Campaigns()
+
+    def timed(plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
+        time.sleep(0.3 * len(plan.jobs))
+        summary = campaign(plan, orders, lambda _: None)
+        for file in orders.out.glob("runs/*/outcome.json"):
+            timing = '{"seek": 0.05, "attempts": 0.2, "total": 0.25, "first_success": null}'
+            file.write_text(f'{{"attempts": [], "encounter": null, "timing": {timing}}}')
+        return replace(summary, interrupted=True)
+
+    spent = hunted(tmp_path, timed, None, plan_of("dull")).spent
+    assert spent == {"seek": 0.05, "attempts": 0.2, "between": pytest.approx(0.05, abs=0.04)}
 
 
 def test_a_hunt_ends_with_enough_distinct_failures_and_ranks_them(tmp_path: Path) -> None:
-    """A round of one worker has three episodes: of two inputs, so one seed each. Four sides take four rounds."""
+    """The first round of one worker has an episode, of ``dull``. Later ones have one of each of the two inputs."""
     campaign = Campaigns()
     found = hunted(tmp_path, campaign)
     assert (found.ended, len(found.failures), found.encounters, found.attempts) == ("distinct", 4, 8, 16)
-    assert [seeds for _, seeds in campaign.rounds] == [(0,), (1,), (2,), (3,)]
+    assert (found.encounters, [seeds for _, seeds in campaign.rounds]) == (8, [(0,), (1,), (2,), (3,), (4,)])
     with (tmp_path / "out" / "results.csv").open(newline="") as text:
         shown = list(csv.DictReader(text))
     assert [r["rank"] for r in shown] == ["1", "2", "3", "4"]
@@ -175,12 +218,12 @@ def test_a_hunt_ends_with_enough_distinct_failures_and_ranks_them(tmp_path: Path
 
 def test_failures_are_those_that_reach_the_level_asked_for(tmp_path: Path) -> None:
     """All that the input comes to is serious, so with that level all count, and with 5 m/s of delta-v none."""
-    for folder, goal, many in (("a", Goal(Level.SERIOUS), 3), ("b", Goal(Level.VALID, min_delta_v=5.0), 0)):
+    for folder, goal, many in (("a", Goal(Level.SERIOUS), 1), ("b", Goal(Level.VALID, min_delta_v=5.0), 0)):
         orders = Orders(tmp_path / folder / "out", tmp_path / "bank.sqlite", {}, WorkerPace(1, 60.0, 200))
         campaign = Campaigns()
 
-        def once(plan: CampaignPlan, orders: Orders, campaign: Campaigns = campaign) -> Summary:
-            return replace(campaign(plan, orders), interrupted=True)
+        def once(plan: CampaignPlan, orders: Orders, finished: Finished, campaign: Campaigns = campaign) -> Summary:
+            return replace(campaign(plan, orders, finished), interrupted=True)
 
         found = Hunt(plan_of("good"), orders, once, 10.0, None, goal).run(lambda _: None)
         assert len(found.failures) == many
@@ -199,44 +242,43 @@ def test_the_same_hunt_goes_on_and_another_is_refused(tmp_path: Path) -> None:
     campaign = Campaigns()
     again = hunted(tmp_path, campaign, 3)
     assert (len(first.failures), len(again.failures)) == (2, 3)
-    assert [seeds for _, seeds in campaign.rounds] == [(0,), (1,), (2,)]  # finished rounds are read again
+    assert [seeds for _, seeds in campaign.rounds] == [(0,), (1,), (2,), (3,)]  # finished rounds are read again
     with pytest.raises(UsageError, match="holds a hunt with other inputs, egos or settings"):
         hunted(tmp_path, Campaigns(), plan=plan_of("good"))
 
 
 def test_ctrl_c_in_the_last_episode_of_a_round_ends_the_hunt_too(tmp_path: Path) -> None:
-    """Nothing of the round is missing then, and no other round begins."""
+    """Nothing of the round of one episode is missing then, and no other round begins."""
     campaign = Campaigns()
 
-    def pressed(plan: CampaignPlan, orders: Orders) -> Summary:
-        return replace(campaign(plan, orders), interrupted=True)
+    def pressed(plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
+        return replace(campaign(plan, orders, finished), interrupted=True)
 
     found = hunted(tmp_path, pressed)
-    assert (found.ended, found.encounters, len(campaign.rounds)) == ("stopped", 2, 1)
-    assert len(list((tmp_path / "out" / "failures").iterdir())) == 1
+    assert (found.ended, found.encounters, len(campaign.rounds)) == ("stopped", 1, 1)
 
 
 def test_a_round_that_would_take_longer_than_the_time_that_is_left_is_smaller(tmp_path: Path) -> None:
-    """Ten inputs, one worker, a hunt of 3 s: a round of three episodes takes 2.4 s, so that the second one has one."""
+    """Ten inputs, one worker, a hunt of 2.6 s, an episode of 0.9 s: after the first one there is time for two."""
     campaign = Campaigns()
 
-    def slow(plan: CampaignPlan, orders: Orders) -> Summary:
-        time.sleep(0.8 * len(plan.jobs))
-        return campaign(plan, orders)
+    def slow(plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
+        time.sleep(0.9 * len(plan.jobs))
+        return campaign(plan, orders, finished)
 
     orders = Orders(tmp_path / "out", tmp_path / "bank.sqlite", {}, WorkerPace(1, 60.0, 200))
     names = [f"dull {k}" for k in range(10)]
-    Hunt(plan_of(*names), orders, slow, 3.0 / 60.0, None).run(lambda _: None)
-    assert [len(inputs) for inputs, _ in campaign.rounds] == [3, 1]
+    Hunt(plan_of(*names), orders, slow, 2.6 / 60.0, None).run(lambda _: None)
+    assert [len(inputs) for inputs, _ in campaign.rounds] == [1, 2]
 
 
 def test_the_failures_over_time_are_drawn(tmp_path: Path, program: Program) -> None:
-    """Four rounds find a serious failure each."""
+    """The first round finds nothing, and four more find a serious failure each."""
     hunted(tmp_path, Campaigns())
     after = over_time(tmp_path / "out")
-    assert [a.found for a in after] == [dict.fromkeys(("valid", "strict", "serious"), k) for k in (1, 2, 3, 4)]
+    assert [a.found for a in after] == [dict.fromkeys(("valid", "strict", "serious"), k) for k in range(5)]
     assert [a.minutes for a in after] == sorted(a.minutes for a in after)
-    # after four rounds of two episodes each: four kinds, all seen once, so half of the encounters brought a new one
+    # eight encounters: four kinds, all seen once, so half of the encounters brought a new one
     last = after[-1].discovery
     assert last is not None and (last.samples, last.kinds, last.chance, last.least) == (8, 4, 0.5, 10.0)
     done = program.here("figure", tmp_path / "out", "--out", "over_time.svg")
@@ -247,11 +289,11 @@ def test_the_failures_over_time_are_drawn(tmp_path: Path, program: Program) -> N
 
 
 def test_where_all_episodes_fail_the_hunt_says_why_at_once(tmp_path: Path) -> None:
-    def broken(plan: CampaignPlan, orders: Orders) -> Summary:
+    def broken(plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
         rows = [row(id=job.id, ending="simulation_failed", failure="No licence.", level=None) for job in plan.jobs]
         return Summary(orders.out, len(rows), rows, len(rows))
 
-    with pytest.raises(SumoAdvError, match=r"All 2 episodes of the hunt failed, the first one so: No licence\."):
+    with pytest.raises(SumoAdvError, match=r"All 3 episodes of the hunt failed, the first one because: No licence\."):
         hunted(tmp_path, broken)
 
 

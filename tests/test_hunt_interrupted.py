@@ -13,6 +13,7 @@ import pytest
 from cli_samples import Program, tiny_disk
 from test_interrupt import interrupted, wait_until
 
+from sumo_adv.campaigns.local import OVERTIME_S
 from sumo_adv.simulation.forks import can_fork
 
 HUNT = (
@@ -79,6 +80,18 @@ def test_a_driver_that_hangs_loses_that_attempt_alone(program: Program) -> None:
     assert len(told["lost"]) == 1
     assert "The ego's driver 'sleepy' did not return within 1 s in act (its step 65, at 6.5 s)" in told["lost"][0]
     assert told["attempts"] > 1 and told["failures"]
+
+
+def test_a_slow_driver_takes_no_longer_than_the_hunt(program: Program) -> None:
+    """An attempt of 80 steps takes 16 s of the 6 s that the hunt has; an episode goes on for 8 s at most after them."""
+    done = program.here(
+        "hunt", "motorway_cut_in_left", "--ego", "stuck_drivers:Slow", "--minutes", "0.1", "--workers", "1",
+        "--no-pages", "--out", "hunt", "--json",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    told = json.loads(done.out)
+    assert (told["ended"], told["failures"]) == ("time", [])
+    assert 6.0 <= told["seconds"] < 6.0 + OVERTIME_S + 10.0
 
 
 def test_a_driver_that_cannot_be_made_ends_the_hunt(program: Program) -> None:

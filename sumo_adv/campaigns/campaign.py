@@ -8,7 +8,7 @@ import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
@@ -79,6 +79,7 @@ class Orders:
         retry_failed: Whether failed episodes are run again.
         parquet: Whether the table is also written as Parquet.
         ray: The address of a Ray cluster; None for this machine.
+        stop: What ends the batch early: Ctrl-C, or the caller.
         crew: The workers of this machine that stay from one batch to the next; None for workers of this batch alone.
     """
 
@@ -90,6 +91,7 @@ class Orders:
     retry_failed: bool = False
     parquet: bool = False
     ray: str | None = None
+    stop: Stop = field(default_factory=Stop)
     crew: Crew | None = None
 
 
@@ -178,7 +180,8 @@ def run_batch(plan: CampaignPlan, orders: Orders, parts: CampaignParts, watcher:
             watcher.finished(job, done.row)
 
         try:
-            with stopping(watcher) as stop:
+            stop = orders.stop
+            with stopping(watcher, stop):
                 missing = [job for job in plan.jobs if job.id not in rows]
                 with sentences(orders.out):
                     for job in missing:  # remove the remains of failed and damaged episodes
@@ -260,15 +263,15 @@ def _teach(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, 
 
 
 @contextmanager
-def stopping(watcher: CampaignWatcher) -> Iterator[Stop]:
-    """Yield the state of Ctrl-C: the first one asks to drain, the second one to end at once.
+def stopping(watcher: CampaignWatcher, stop: Stop) -> Iterator[None]:
+    """Let Ctrl-C change ``stop``: the first one asks to drain, the second one to end at once.
 
     Outside the main thread, signals cannot be handled, so the state never changes.
 
     Args:
         watcher: Told of each Ctrl-C.
+        stop: The state.
     """
-    stop = Stop()
 
     def press(number: int, frame: FrameType | None) -> None:
         stop.drain, stop.now = True, stop.drain
@@ -277,10 +280,10 @@ def stopping(watcher: CampaignWatcher) -> Iterator[Stop]:
     try:
         before = {s: signal.signal(s, press) for s in (signal.SIGINT, signal.SIGTERM)}
     except ValueError:  # signals only reach the main thread
-        yield stop
+        yield
         return
     try:
-        yield stop
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -268,7 +268,7 @@ def _desk(sent: NodeContent) -> _Desk:
         store = Store(desk_folder(), sent.setup.parts.staged)
         store.runs.mkdir()
         setup = replace(sent.setup, runs=store.runs, bank=store.bank)
-        workers = LocalWorkers(setup, replace(sent.pace, workers=1), store.folder, store.fail, Stop())
+        workers = LocalWorkers(setup, replace(sent.pace, workers=1, until=None), store.folder, store.fail, Stop())
         _desks.append(_Desk(store, workers))
         atexit.register(workers.close)
     desk = _desks[0]

@@ -26,7 +26,7 @@ MAX_FAILED_STARTS = 3  # consecutive workers that may die before they are ready
 WORKER_START_TIMEOUT_S = 120.0
 POLL_INTERVAL_S = 0.25  # between checks of deadlines, results, messages and Ctrl-C
 MAX_KEPT_OUTPUT_CHARACTERS = 20_000  # kept of a dead worker's output
-OVERTIME_S = 8.0  # after the end of the work, for the episodes that run to end; after that they are killed
+OVERTIME_S = 8.0  # after the end of the work, in which the jobs that run may end; then they are killed
 
 
 @dataclass
@@ -50,7 +50,8 @@ class WorkerPace:
         workers: The number of workers.
         deadline: The maximum time of an episode [s].
         recycle: The number of episodes after which a worker is replaced.
-        until: When the work ends, as ``time.time()`` [s]: no job begins after that. None if it ends with its jobs.
+        until: When the work should end, as ``time.time()`` [s]; jobs that go on for ``OVERTIME_S`` are killed and left
+            out. None if the work ends with its jobs.
     """
 
     workers: int
@@ -139,10 +140,10 @@ class LocalWorkers:
             SumoAdvError: The workers do not start, or a worker says that no job can be run.
         """
         waiting = jobs if isinstance(jobs, deque) else deque(jobs)
-        while not (self.stop.now or self._past(OVERTIME_S)):
+        while not (self.stop.now or self._overdue):
             self._staff(len(waiting) + len(self._again))
             self._assign(waiting)
-            if not any(s.job for s in self._slots) and (self._drains or not (waiting or self._again)):
+            if not any(s.job for s in self._slots) and (self.stop.drain or not (waiting or self._again)):
                 break
             self._listen(told)
             self._watch(told)
@@ -153,17 +154,13 @@ class LocalWorkers:
             self._dismiss(slot)
 
     @property
-    def _drains(self) -> bool:
-        return self.stop.drain or self._past(0.0)
-
-    def _past(self, seconds: float) -> bool:
-        """Return whether the work should have ended this long ago."""
-        return self.pace.until is not None and time.time() >= self.pace.until + seconds
+    def _overdue(self) -> bool:
+        return self.pace.until is not None and time.time() >= self.pace.until + OVERTIME_S
 
     def _staff(self, waiting: int) -> None:
         """Start missing workers, at most one for each job."""
         busy = sum(s.job is not None for s in self._slots)
-        target = min(self.pace.workers, busy + (0 if self._drains else waiting))
+        target = min(self.pace.workers, busy + (0 if self.stop.drain else waiting))
         while len(self._slots) < target:
             self._slots.append(self._start())
 
@@ -181,7 +178,7 @@ class LocalWorkers:
     def _assign(self, waiting: deque[EpisodeJob]) -> None:
         """Give jobs to free workers."""
         for slot in self._slots:
-            if self._drains or not (waiting or self._again):
+            if self.stop.drain or not (waiting or self._again):
                 return
             if slot.ready and slot.job is None:
                 slot.job = self._again.popleft() if self._again else waiting.popleft()
@@ -270,7 +267,9 @@ class Crew:
     A worker takes seconds to start, which many small batches would pay again and again.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, make: Callable[[Any], AbstractContextManager[Any]] | None = None) -> None:
+        """Gather a crew; its processes start with the first batch. ``make``: see :class:`LocalWorkers`."""
+        self._make = make
         self._slots: list[_Slot] = []
         self._scratch: tempfile.TemporaryDirectory[str]
 
@@ -286,7 +285,7 @@ class Crew:
 
     def workers(self, setup: Any, pace: WorkerPace, fail: Callable[[Any, str, str], Done], stop: Stop) -> LocalWorkers:
         """Return what runs the jobs of a batch on these processes; see :class:`LocalWorkers`."""
-        return LocalWorkers(setup, pace, Path(self._scratch.name), fail, stop, kept=self._slots)
+        return LocalWorkers(setup, pace, Path(self._scratch.name), fail, stop, self._make, kept=self._slots)
 
 
 def _work(

@@ -22,6 +22,7 @@ from statistics import median
 from typing import Any
 
 from sumo_adv.campaigns.campaign import Orders, Summary
+from sumo_adv.campaigns.local import Stop
 from sumo_adv.campaigns.plan import CampaignPlan
 from sumo_adv.campaigns.results import is_failed
 from sumo_adv.datatypes import Level
@@ -43,10 +44,11 @@ from sumo_adv.scenario_names import is_one_of, wanted
 
 HUNT_SCHEMA = 1
 FAILURES_FOLDER = "failures"
-MAX_EPISODES_PER_WORKER = 6
+MAX_EPISODES_PER_WORKER = 3
 """Episodes of a round for each worker at most; the first round has one."""
 ROUND_S = 60.0  # s: how long a round should take, by what an episode took before
 MIN_ATTEMPTS = 12  # attempts that an encounter should have time for, whatever one of them costs
+FAILED_EPISODES = 3  # that end the hunt if no episode succeeds; fewer if there are fewer inputs
 LINE_INTERVAL_S = 10.0  # s between two reports of progress, unless there is a new failure
 MAX_ENCOUNTER_S = 20.0  # s of attempts in an encounter at most: a second simulation tells more than a longer search
 MIN_ENCOUNTER_S = 3.0
@@ -186,8 +188,10 @@ class Hunt:
             if self._round(len(self._state["rounds"]) - 1, tell).interrupted:
                 ended = "stopped"
             self._remember()
-        if ended == "time" and self._enough():
+        if self._enough():
             ended = "distinct"
+        elif self._left() <= 0:
+            ended = "time"
         found = self._collected()
         progress, lost = self._progress(found, None), [why for each in self._lost for why in each]
         return Found(
@@ -228,16 +232,19 @@ class Hunt:
             order["took"] = before + time.perf_counter() - began
             self._add(k, [row])
             self._say(tell)
+            stop.drain |= self._enough() or self._left() <= 0
 
+        stop = Stop(drain=self._left() <= 0)
         pace = replace(self._orders.pace, until=time.time() + self._left())
-        summary = self._campaign(plan, replace(self._orders, out=self._folder_of(k), pace=pace), finished)
+        summary = self._campaign(plan, replace(self._orders, out=self._folder_of(k), pace=pace, stop=stop), finished)
         if summary.ran or summary.stopped:
             order["took"] = before + time.perf_counter() - began
         self._begin(k)
         self._add(k, summary.rows)
         every = [row for each in self._rows for row in each]
-        if every and not summary.stopped and all(map(is_failed, every)):
-            raise SumoAdvError(f"All {len(every)} episodes of the hunt failed, the first one so: {every[0]['failure']}")
+        if len(every) >= min(len(self._inputs), FAILED_EPISODES) and all(map(is_failed, every)):
+            many = f"All {len(every)} episodes" if len(every) > 1 else "The only episode"
+            raise SumoAdvError(f"{many} of the hunt failed, the first one because: {every[0]['failure']}")
         return summary
 
     def _begin(self, k: int) -> None:

@@ -264,7 +264,8 @@ class Estimation:
     def _run(self, runs: int, scratch: Path) -> RateEstimate | None:
         """Run the phases, and write the result."""
         plan = self.plan
-        with stopping(self.watcher) as stop, closing(self._pool(scratch, stop)) as pool:
+        stop = Stop()
+        with stopping(self.watcher, stop), closing(self._pool(scratch, stop)) as pool:
             starts, pilot = None, list[dict[str, Any]]()
             if not plan.plain:
                 measured = self._blocks("pilot", plan.pilot, pilot_proposal(len(ERROR_KINDS)), pool)
