@@ -1,7 +1,7 @@
 """The chat completions protocol as plain data, without I/O.
 
-The module makes bodies of requests and reads answers. It also lists the errors of servers by status and error code, each
-with a sentence that says what to do.
+The module makes bodies of requests and reads answers. It also lists the errors of servers by status and error code,
+each with a sentence that says what to do.
 
 Sources: the error pages of OpenAI, DeepSeek, Anthropic (529), OpenRouter (a 200 with an ``error`` object that holds the
 status as its ``code``), vLLM and llama.cpp.
