@@ -300,7 +300,7 @@ def _known(label: str) -> str:
 
 
 def _calibration(cells: Mapping[CellKey, Cell], oracle: Mapping[CellKey, Cell], criterion: str) -> dict[str, Estimate]:
-    """Return the oracle's success rate with what the analyzer ranked first, by the risk that the analyzer gave.
+    """Return the oracle's success rate with the analyzer's first choice, by the risk that the analyzer gave.
 
     Simulations of the same vehicle and intent count. Encounters without such simulations are left out.
     """

@@ -60,8 +60,8 @@ class RayPool:
 
         Args:
             task: Runs one job on a node.
-            unfit: Runs on each node before its first job, with what ``run`` says that nodes need. Returns why the node
-                cannot be used, or '' if it can.
+            unfit: Runs on each node before its first job, with the requirements that ``run`` gives. Returns why the
+                node cannot be used, or '' if it can.
             recycle: The number of jobs after which a worker process of a node is replaced.
             address: The cluster's address.
             stop: The state of Ctrl-C. If it is pressed before the cluster answers, the pool has no nodes.

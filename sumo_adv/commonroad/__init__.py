@@ -1,7 +1,7 @@
-"""For people who bring a CommonRoad planner: the road and the traffic around the ego as objects of commonroad-io.
+"""Drive the ego with a CommonRoad planner: the road and the traffic around the ego as objects of commonroad-io.
 
-``PlannerEgo`` is the ego to subclass: its one method ``plan`` gets a ``Scene`` and returns a trajectory. ``Scenes``
-makes the scenes alone, for a driver of your own that only wants CommonRoad's map or obstacles.
+To use a planner, subclass ``PlannerEgo``. Its method ``plan`` gets a ``Scene`` and returns a trajectory. A driver that
+only needs CommonRoad's map or obstacles can use ``Scenes`` to make the scenes alone.
 """
 
 from importlib import import_module
@@ -9,7 +9,7 @@ from importlib import import_module
 from sumo_adv.errors import UsageError
 
 try:
-    import_module("commonroad.geometry.shape")  # which 2026.1 no longer has
+    import_module("commonroad.geometry.shape")  # commonroad-io 2026.1 no longer has this module
 except ImportError as error:
     raise UsageError(
         f"sumo_adv.commonroad needs commonroad-io, 2022.1 to 2024.3 ({error}): pip install 'sumo-adv[commonroad]'."

@@ -18,9 +18,9 @@ from sumo_adv.drivers.protocol import MAX_BRAKING_M_S2, Points
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
 
-MAX_AWAY_M = 0.5  # between the ego and its place in the plan; beyond it a new plan is made at once
-PATH_AHEAD_M = 250.0  # of the reference path: 5 s at 50 m/s
-MAX_LATERAL_M_S2 = 4.0  # of an ego that brakes without a plan
+MAX_AWAY_M = 0.5  # if the ego is farther from its place in the plan, it plans again at once
+PATH_AHEAD_M = 250.0  # length of the reference path: 5 s at 50 m/s
+MAX_LATERAL_M_S2 = 4.0  # lateral acceleration of an ego that brakes without a plan
 TIME_TOLERANCE_S = 1e-6
 
 
@@ -29,7 +29,7 @@ class Followed:
     """A plan that the ego follows.
 
     Attributes:
-        times: Of its states, in simulation time [s], ``(n,)``.
+        times: The simulation times of its states [s], ``(n,)``.
         states: x, y [m], heading [rad, unwrapped] and speed [m/s] of the box centre, ``(n, 4)``.
     """
 
@@ -37,7 +37,7 @@ class Followed:
     states: Floats
 
     def at(self, time: float) -> Floats | None:
-        """Return x, y, heading and speed at a time [s]; None after the end."""
+        """Return x, y, heading and speed at a time [s], or None after the end."""
         if time > self.times[-1] + TIME_TOLERANCE_S:
             return None
         return np.array([np.interp(time, self.times, column) for column in self.states.T])
@@ -52,13 +52,13 @@ class PlannerEgo(ABC):
     """The ego that a CommonRoad planner drives. Subclass it, write ``plan``, and name it with ``--ego module:Class``.
 
     If the observation has no path, or the route leaves the network, SUMO drives. If there is no plan, the ego brakes
-    fully along its path, and asks again in the next step.
+    fully along its path, and calls ``plan`` again in the next step.
 
     Attributes:
-        replan_every: Steps of the simulation from one plan to the next.
-        horizon: For how long the other road users are predicted [s].
-        time_step: CommonRoad's time step [s]. The run's may be another: the ego is set between two states of the plan.
-        path_ahead: How far ahead of the ego the reference path reaches at least [m], as far as the route goes.
+        replan_every: The number of simulation steps from one plan to the next.
+        horizon: How long the other road users are predicted [s].
+        time_step: CommonRoad's time step [s]. The run's step may differ, because states of the plan are interpolated.
+        path_ahead: The minimum length of the reference path ahead of the ego [m], if the route is long enough.
         shut_lines: Whether a static obstacle stands behind the next line while the ego must wait there.
         notes: Numbers by name that ``plan`` may set, shown with the answers.
     """
@@ -103,7 +103,14 @@ class PlannerEgo(ABC):
         self.notes = {}
 
     def act(self, seen: Observation) -> Action:
-        """Return the place in the plan after this step; None (SUMO drives) without a path or if the route ends."""
+        """Return the ego's place in the plan after this step.
+
+        Args:
+            seen: The observation.
+
+        Returns:
+            The action. It is None, so that SUMO drives, if there is no path or the route leaves the network.
+        """
         yaw_rate = self._yaw_rate(seen)
         if seen.path is None or seen.road is None or seen.road.leaves:
             self._followed = None
@@ -123,7 +130,8 @@ class PlannerEgo(ABC):
     def _is_due(self, seen: Observation) -> bool:
         """Return whether to plan now.
 
-        This is so without a plan, ``replan_every`` steps after the last plan, at its end, and if the ego is off it.
+        The ego plans if it has no plan, ``replan_every`` steps after the last plan, at the plan's end, and if it is
+        more than ``MAX_AWAY_M`` from its place in the plan.
         """
         if self._followed is None or self._steps >= self.replan_every:
             return True
@@ -141,7 +149,7 @@ class PlannerEgo(ABC):
         """Read states of CommonRoad as a plan that begins at the ego's present place.
 
         Raises:
-            UsageError: A state lacks something, or time does not go on.
+            UsageError: A state lacks a field, or the time steps do not increase.
         """
         try:
             rows = [(s.time_step, *s.position, s.orientation, s.velocity) for s in states if s.time_step > 0]

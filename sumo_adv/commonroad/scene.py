@@ -1,7 +1,7 @@
-"""What the ego's driver sees, as a CommonRoad scenario with a planning problem.
+"""Convert the observation of the ego's driver to a CommonRoad scenario with a planning problem.
 
-Positions are centres of boxes in the network's frame, headings rad counter-clockwise from +x, as in the observation.
-Time step 0 is now. Ids are numbers: a lane or a vehicle keeps its own through all scenes of a run.
+As in the observation, positions are centres of boxes in the network's frame, and headings are in rad, counter-clockwise
+from +x. Time step 0 is now. Ids are numbers. A lane or a vehicle keeps its number in all scenes of a run.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ except ImportError:  # commonroad-io 2022.1 has one class for all states
     from commonroad.scenario.trajectory import State as CustomState
     from commonroad.scenario.trajectory import State as InitialState
 
-HORIZON_S = 6.0  # over which other road users are predicted
+HORIZON_S = 6.0  # time over which other road users are predicted
 STEP_S = 0.1  # CommonRoad's time step
-BEHIND_M = 15.0  # of the reference path behind the first point that the observation has
-GOAL_LENGTH_M, GOAL_WIDTH_M = 10.0, 4.0  # of the goal, at the end of the reference path
-LATEST_GOAL_STEP = 100_000  # by which the goal may be reached: a run ends before
-LIMIT_BRAKING_M_S2 = 2.0  # before a lower limit
-SHUT_LINE_LENGTH_M = 0.5  # of the obstacle behind a line at which the ego must wait
+BEHIND_M = 15.0  # length of the reference path before the first point of the observation's path
+GOAL_LENGTH_M, GOAL_WIDTH_M = 10.0, 4.0  # size of the goal, which is at the end of the reference path
+LATEST_GOAL_STEP = 100_000  # last step at which the goal may be reached; a run ends before
+LIMIT_BRAKING_M_S2 = 2.0  # braking before a lower speed limit
+SHUT_LINE_LENGTH_M = 0.5  # length of the obstacle behind a line at which the ego must wait
 OBSTACLE_TYPES = {
     "passenger": ObstacleType.CAR, "private": ObstacleType.CAR, "taxi": ObstacleType.TAXI,
     "delivery": ObstacleType.TRUCK, "truck": ObstacleType.TRUCK, "trailer": ObstacleType.TRUCK,
@@ -49,14 +49,15 @@ OBSTACLE_TYPES = {
     "moped": ObstacleType.MOTORCYCLE, "bicycle": ObstacleType.BICYCLE, "pedestrian": ObstacleType.PEDESTRIAN,
     "emergency": ObstacleType.PRIORITY_VEHICLE, "tram": ObstacleType.TRAIN,
 }  # fmt: skip
-"""By SUMO's vehicle class; others are of unknown type."""
+"""CommonRoad's types by SUMO's vehicle class. Other classes have the type unknown."""
 
 Predict: TypeAlias = Callable[[VehicleState, Floats], Floats]
-"""Takes a road user and times from now on ``(n,)`` [s]; returns its x, y [m] and heading [rad] then, ``(n, 3)``."""
+"""A function that predicts a road user. It takes the road user's state and times from now on ``(n,)`` [s]. It returns
+x, y [m] and heading [rad] at these times, ``(n, 3)``."""
 
 
 def constant_velocity(vehicle: VehicleState, times: Floats) -> Floats:
-    """Predict a road user that goes straight on at its present speed; see ``Predict``."""
+    """Predict that a road user continues straight at its present speed; see ``Predict``."""
     gone = vehicle.speed * times
     x, y = vehicle.x + gone * math.cos(vehicle.heading), vehicle.y + gone * math.sin(vehicle.heading)
     return np.column_stack([x, y, np.full(len(times), vehicle.heading)])
@@ -71,11 +72,11 @@ class Scene:
         problem: The ego's initial state, and a goal at the end of the reference path.
         reference_path: Points ``(n, 2)`` [m], a metre apart, along the ego's lane and route: from 15 m before the first
             point of ``observation.path`` on.
-        speed_limit: The fastest that the ego should go now [m/s]: ``observation.road.limit``, and less before a lower
-            posted limit, which braking with 2 m/s2 must reach. Turns on a junction have such limits.
+        speed_limit: The highest speed for the ego now [m/s]. It is ``observation.road.limit``, or less before a lower
+            posted limit, so that braking with 2 m/s2 reaches that limit in time. Turns on a junction have such limits.
         observation: The observation that the scene shows.
-        lanelets: Numbers of the lanelets by SUMO's ids of their lanes.
-        obstacles: Numbers of the obstacles by SUMO's ids of the vehicles.
+        lanelets: The numbers of the lanelets by SUMO's lane ids.
+        obstacles: The numbers of the obstacles by SUMO's vehicle ids.
     """
 
     scenario: Scenario
@@ -88,12 +89,15 @@ class Scene:
 
     @property
     def initial_state(self) -> Any:
-        """The ego now, an ``InitialState``: the centre of its box at time step 0."""
+        """The ego's present state, an ``InitialState`` with the centre of its box at time step 0."""
         return self.problem.initial_state
 
 
 class Scenes:
-    """Makes the scenes of one run. The lanelet network stays the same object while ``observation.road.lanes`` does."""
+    """Makes the scenes of one run.
+
+    The lanelet network stays the same object as long as ``observation.road.lanes`` is the same object.
+    """
 
     def __init__(
         self, predict: Predict = constant_velocity, *, horizon: float = HORIZON_S, step: float = STEP_S,
@@ -104,9 +108,9 @@ class Scenes:
         Args:
             predict: Predicts the other road users.
             horizon: The time over which they are predicted [s].
-            step: CommonRoad's time step [s]; the run's may be another.
-            shut_lines: Whether a static obstacle stands behind the next line while the ego must wait there. Few
-                CommonRoad planners know right of way.
+            step: CommonRoad's time step [s]. The run's step may differ.
+            shut_lines: Whether a static obstacle stands behind the next line while the ego must wait there. It is
+                useful because few CommonRoad planners know right of way.
         """
         self._predict, self._step, self._shut_lines = predict, step, shut_lines
         self._times = step * np.arange(1.0, round(horizon / step) + 1.0)
@@ -118,8 +122,8 @@ class Scenes:
         """Make the scene of one step.
 
         Args:
-            seen: What the driver sees; ``path`` and ``road`` must be there.
-            yaw_rate: Of the ego [rad/s].
+            seen: The observation. It must have ``path`` and ``road``.
+            yaw_rate: The ego's yaw rate [rad/s].
 
         Raises:
             UsageError: The ego is off the road, so there is no path.
@@ -141,7 +145,7 @@ class Scenes:
         return Scene(scenario, problem, path, _speed_limit(seen.road), seen, lanelets, obstacles)
 
     def lanelet_network(self, lanes: Sequence[Lane]) -> LaneletNetwork:
-        """Lanes of ``observation.road`` as lanelets, with their speed limits as signs."""
+        """Convert the lanes of ``observation.road`` to lanelets, with their speed limits as signs."""
         if self._network is None or lanes is not self._lanes:
             numbers = {lane.id: self._number("lane", lane.id) for lane in lanes}
             network = LaneletNetwork.create_from_lanelet_list([_lanelet(lane, numbers) for lane in lanes])
@@ -152,7 +156,11 @@ class Scenes:
         return self._network
 
     def obstacle(self, vehicle: VehicleState) -> DynamicObstacle:
-        """Another road user with its prediction, from time step 1 on."""
+        """Convert another road user to an obstacle, with its prediction from time step 1 on.
+
+        Raises:
+            UsageError: The prediction has the wrong shape.
+        """
         places = np.array(self._predict(vehicle, self._times))
         if places.shape != (len(self._times), 3):
             raise UsageError(
@@ -174,7 +182,7 @@ class Scenes:
         )  # fmt: skip
 
     def _shut_line(self, path: Floats, ego: VehicleState, ahead: float, width: float) -> StaticObstacle:
-        """An obstacle across the ego's lane, just behind a line ``ahead`` [m] of the ego's centre."""
+        """Make an obstacle across the ego's lane, just behind a line that is ``ahead`` [m] of the ego's centre."""
         at = stations(path[:, 0], path[:, 1])
         centre = float(along(path, ego.x, ego.y)) + ahead + SHUT_LINE_LENGTH_M / 2
         k = min(max(int(np.searchsorted(at, centre)), 1), len(path) - 1)
@@ -188,7 +196,7 @@ class Scenes:
         return StaticObstacle(self._number("line", ""), ObstacleType.UNKNOWN, shape, state)
 
     def _number(self, sort: str, name: str) -> int:
-        """The number of a thing, from 1 on: the same one each time."""
+        """Return the number of an object. Numbers begin at 1, and an object keeps its number."""
         return self._numbers.setdefault((sort, name), len(self._numbers) + 1)
 
 

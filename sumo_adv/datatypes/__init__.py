@@ -1,9 +1,11 @@
-"""The nouns. SI units, headings in rad counter-clockwise from +x in (-pi, pi], positions are box centres.
+"""The data types that all parts of the program share. Import them from this package.
 
-``motion``: vehicles and how they move; ``verdict``: how a run ends and what an attempt is worth; ``attack``: intents,
-planners, candidates and attempts. Nothing here imports anything of the project, and everything is frozen: a part that
-changes something returns a new value. Arrays inside a noun are never written to after it was made. Import the nouns
-from here.
+Quantities are in SI units. Headings are in rad, counter-clockwise from +x, in (-pi, pi]. Positions are centres of
+bounding boxes.
+
+The module ``motion`` describes vehicles and how they move, ``verdict`` how a run ends and how an attempt is judged, and
+``attack`` intents, planners, candidates and attempts. The package imports nothing else of the project. All types are
+frozen, so code that changes a value returns a new one. Arrays inside a value are never written to after its creation.
 """
 
 from sumo_adv.datatypes.attack import (

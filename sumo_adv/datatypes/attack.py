@@ -14,9 +14,9 @@ from sumo_adv.datatypes.verdict import Diagnosis, Level, Verdict
 
 
 class Duty(StrEnum):
-    """What an adversary does in an attack. Exactly one is the collider; the others support it."""
+    """What an adversary does in an attack. Exactly one adversary is the collider; the others support it."""
 
-    COLLIDER = "collider"  # it is to collide with the ego
+    COLLIDER = "collider"  # it tries to collide with the ego
     BLOCK_LEFT = "block_left"  # it takes the room into which the ego would swerve to the left
     BLOCK_RIGHT = "block_right"  # the same to the right
     SLOW = "slow"  # it holds the ego up from ahead
@@ -24,15 +24,15 @@ class Duty(StrEnum):
     OPEN = "open"  # it makes room into which the collider can go
 
 
-MAX_ADVERSARIES = 3  # of an attack: a collider and two supports
+MAX_ADVERSARIES = 3  # in one attack: a collider and two supports
 
 
 class Relation(StrEnum):
-    """How a background vehicle stands to the ego when an encounter begins."""
+    """Where a background vehicle is relative to the ego when an encounter begins."""
 
     LEADER = "leader"  # ahead of the ego in its lane
     FOLLOWER = "follower"  # behind it in its lane
-    NEIGHBOUR = "neighbour"  # in a lane beside, the same way
+    NEIGHBOUR = "neighbour"  # in an adjacent lane of the same direction
     ONCOMING = "oncoming"  # beyond the centre line
     CROSSING = "crossing"  # on a path that crosses the ego's
     MERGING = "merging"  # on a path that joins the ego's
@@ -40,8 +40,13 @@ class Relation(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ModeChoice:
-    """One way to carry an intent out, as an analyzer chose it: the planner's mode, some or all of its numbers, and the
-    start, ``delay`` [s] after the trigger."""
+    """One way to carry out an intent, as an analyzer chose it.
+
+    Attributes:
+        mode: The planner's mode.
+        parameters: Values of some or all of the planner's parameters, by name.
+        delay: The start of the attack after the trigger [s].
+    """
 
     mode: str
     parameters: Mapping[str, float]
@@ -50,8 +55,18 @@ class ModeChoice:
 
 @dataclass(frozen=True, slots=True)
 class Intent:
-    """What an adversary tries: the paper's phi with y_acc. ``acceleration``: see ``Acceleration``. ``ways``: how, in
-    the order in which to try them; empty where the analyzer leaves that open."""
+    """What an adversary tries to do: the paper's phi with y_acc.
+
+    Attributes:
+        bv: The id of the background vehicle.
+        label: The name of the intent.
+        description: The intent in words.
+        risk: How dangerous the analyzer considers it: low, medium or high.
+        acceleration: The intended acceleration [m/s2].
+        reason: Why the analyzer chose it.
+        source: Where the intent comes from: memory or generated.
+        ways: Ways to carry it out, in the order in which to try them. It is empty if the analyzer leaves that open.
+    """
 
     bv: str
     label: str
@@ -65,7 +80,7 @@ class Intent:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number a planner may be tuned by. ``low <= default <= high``."""
+    """One numeric parameter of a planner, with ``low <= default <= high``."""
 
     name: str
     default: float
@@ -82,7 +97,7 @@ def _sha256(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Planner:
-    """Python text that computes an endpoint: the paper's f_phi, one mode of one intent."""
+    """Python source that computes an endpoint: the paper's f_phi. A planner is one mode of one intent."""
 
     label: str
     mode: str
@@ -97,13 +112,21 @@ class Planner:
         return _sha256(self.text)
 
     def defaults(self) -> dict[str, float]:
-        """Parameter values as the planner's author set them."""
+        """Return the default parameter values, by name."""
         return {p.name: p.default for p in self.parameters}
 
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """Where the adversary should be, and when: y_T in the paper. World frame; ``time`` in s from now."""
+    """Where the adversary should be, and when: y_T in the paper.
+
+    Attributes:
+        x: The x position in the world frame [m].
+        y: The y position in the world frame [m].
+        heading: The heading [rad].
+        speed: The speed [m/s].
+        time: The time from now [s].
+    """
 
     x: float
     y: float
@@ -114,15 +137,26 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What the rollout of a candidate comes to. Times in s, distances in m.
+    """The outcome that the rollout of a candidate predicts.
 
-    failure: why the planner failed; the other fields then mean nothing. hit: whether ego and adversary touch.
-    min_ttc, gap: least time to collision and least distance of the boxes up to the contact. time: until the contact, or
-    until the end. warning: from the alarm of ``cc_human`` to the contact. braking: share of the steps up to the contact
-    in which the adversary brakes. level: that the collision reaches, by the reference drivers ``careful`` (cc_human)
-    and ``manoeuvre``, which avoid it or not; delta_v: of the ego [m/s]; acceleration: the adversary's largest [m/s2];
-    human: it stays within the human envelope; side: of the ego that is hit. third_party, off_road, beyond_limits: why
-    the contact does not count.
+    Attributes:
+        failure: Why the planner failed, or empty. After a failure, the other fields have no meaning.
+        hit: Whether the ego and the adversary touch.
+        min_ttc: The minimum TTC up to the contact or the end [s].
+        gap: The distance between the boxes when their centres are nearest, up to the contact or the end [m].
+        time: The time until the contact or, if there is none, until the end [s].
+        warning: The time from the alarm of ``cc_human`` to the contact [s].
+        braking: The share of the steps up to the contact in which the adversary brakes.
+        level: The level that the collision reaches.
+        delta_v: The ego's delta-v [m/s].
+        acceleration: The adversary's largest acceleration [m/s2].
+        human: Whether the adversary stays within the human envelope.
+        careful: Whether the reference driver ``cc_human`` avoids the collision.
+        manoeuvre: Whether the reference driver ``manoeuvre`` avoids the collision.
+        side: The side of the ego that is hit.
+        third_party: Whether a third party is involved, so that the contact does not count.
+        off_road: Whether an adversary leaves the road, so that the contact does not count.
+        beyond_limits: Whether an adversary exceeds the limits, so that the contact does not count.
     """
 
     failure: str = ""
@@ -145,7 +179,7 @@ class Prediction:
 
     @property
     def hopeless(self) -> bool:
-        """Whether the candidate fails whatever the ego does."""
+        """Whether the candidate fails, however the ego reacts."""
         return bool(self.failure) or self.third_party or self.off_road or self.beyond_limits
 
 
@@ -153,7 +187,9 @@ class Prediction:
 class Arrival:
     """How the ego arrives when an attack begins, compared with the encounter as it was found.
 
-    earlier: by how much it is ahead of its place, in time [s]; negative = behind. pace: its speed over the speed found.
+    Attributes:
+        earlier: How far the ego is ahead of its original place, in time [s]; negative if it is behind.
+        pace: The ratio of the ego's speed to its original speed.
     """
 
     earlier: float = 0.0
@@ -165,13 +201,23 @@ AS_FOUND = Arrival()
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """One candidate: which vehicle, with which planner and parameters, how long after the trigger.
+    """One candidate: a vehicle, a planner with parameter values, and a start time.
 
-    ``course``: driven as it stands instead of by the planner, which then only names the author. ``score``: what the
-    search goes by, lower is better. ``duty``: what the vehicle does in the attack; ``supports``: what the other
-    adversaries do, each a candidate of its own with the same delay and without supports. ``composition``: the label of
-    the composed intent that they carry out together, empty for a single adversary. ``arrival``: how the ego arrives,
-    other than found only in a neighbour of an attack.
+    Attributes:
+        bv: The id of the background vehicle.
+        label: The label of the intent.
+        planner: The planner that drives the vehicle.
+        parameters: The planner's parameter values, by name.
+        acceleration: The intended acceleration [m/s2].
+        delay: The start of the attack after the trigger [s].
+        by: What proposed the candidate.
+        score: The search's score; lower is better.
+        prediction: The predicted outcome, or None.
+        course: A motion that is driven as given, or None. If there is one, the planner only names its author.
+        duty: What the vehicle does in the attack.
+        supports: The candidates of the other adversaries. Each has the same delay and no supports.
+        composition: The label of the composed intent that all adversaries carry out together; empty for a single one.
+        arrival: How the ego arrives. It differs from ``AS_FOUND`` only in a neighbour of an attack.
     """
 
     bv: str
@@ -200,28 +246,28 @@ class Proposal:
         return tuple(p.bv for p in self.members)
 
     def as_adversary(self) -> dict[str, str]:
-        """What the vehicle does in the attack, as files and events have it."""
+        """Return the vehicle's id, role, intent and mode as files and events contain them."""
         return {"id": self.bv, "role": str(self.duty), "intent": self.label, "mode": self.planner.mode}
 
     def unscored(self) -> Proposal:
-        """The same candidate without what was predicted of it; ``score`` then means nothing."""
+        """Return the same candidate without its prediction. The ``score`` of the result has no meaning."""
         return replace(self, prediction=None)
 
     @property
     def family(self) -> tuple[str, str, str]:
-        """What the tuner spreads its tries over: vehicle, intent and mode, and the composition if there is one."""
+        """The group over which the tuner spreads its attempts: vehicle, composition (or else the intent), and mode."""
         return (self.bv, self.composition or self.label, self.planner.mode)
 
 
 @dataclass(frozen=True, slots=True)
 class NamedScenario:
-    """What an attempt shows, in the names of three lists (``scenario_names.py``).
+    """The scenario that an attempt shows, named by three catalogues (``scenario_names.py``).
 
     Attributes:
         motion: What the adversary does, in a few words.
-        nhtsa: The number of the pre-crash scenario in NHTSA's typology, None if none fits.
-        iso_34502: The traffic disturbance of ISO 34502, empty at crossings and if none fits.
-        euro_ncap: The scenario of Euro NCAP, empty if none fits.
+        nhtsa: The number of the pre-crash scenario in NHTSA's typology, or None if none fits.
+        iso_34502: The traffic disturbance of ISO 34502. It is empty at crossings and if none fits.
+        euro_ncap: The scenario of Euro NCAP, or empty if none fits.
     """
 
     motion: str
@@ -232,7 +278,7 @@ class NamedScenario:
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One closed-loop run against the real ego."""
+    """One closed-loop simulation of a candidate against the real ego."""
 
     index: int
     phase: str  # tuner | analyzer | modifier
@@ -243,12 +289,20 @@ class Attempt:
     message: str = ""
     diagnosis: Diagnosis | None = None
     kind: str = ""  # intent, relation and side of the ego that is hit
-    scenario: NamedScenario | None = None  # what it shows; None if the ego or the adversary was gone at once
+    scenario: NamedScenario | None = None  # None if the ego or the adversary left at once
 
 
 @dataclass(frozen=True, slots=True)
 class LibraryEntry:
-    """One intent of the behaviour library with its planners. ``applies``: relations it can be tried from."""
+    """One intent of the behaviour library with its planners.
+
+    Attributes:
+        label: The name of the intent.
+        description: The intent in words.
+        applies: The relations from which the intent can be tried.
+        planners: Its planners.
+        source: Where the intent comes from: memory or generated.
+    """
 
     label: str
     description: str

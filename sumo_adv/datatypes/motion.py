@@ -13,13 +13,14 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 Acceleration = float | tuple[tuple[float, float], ...]
-"""m/s2: a number, or 1 to ``MAX_KNOTS`` knots (s since the takeover, m/s2); linear between, constant outside."""
+"""An acceleration [m/s2]: a number, or 1 to ``MAX_KNOTS`` knots (time since the takeover [s], acceleration [m/s2]).
+It is linear between knots and constant outside them."""
 MAX_KNOTS = 4
 MPH_M_S = 0.44704  # one mile per hour
 
 
 class Role(StrEnum):
-    """What a vehicle is in a run."""
+    """The role of a vehicle in a run."""
 
     EGO = "ego"
     ADVERSARY = "adversary"
@@ -29,7 +30,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of an adversary's motion: those of a passenger car. Settings can change them."""
+    """Limits of an adversary's motion. The defaults are those of a passenger car; settings can change them."""
 
     braking: float = 8.0  # m/s2, positive
     acceleration: float = 4.0  # m/s2
@@ -39,7 +40,15 @@ class Limits:
 
 
 def acceleration_at(acceleration: Acceleration, time: float) -> float:
-    """The number [m/s2] that holds ``time`` [s] after the takeover."""
+    """Evaluate an acceleration at a time.
+
+    Args:
+        acceleration: The acceleration.
+        time: The time since the takeover [s].
+
+    Returns:
+        The acceleration at that time [m/s2].
+    """
     if not isinstance(acceleration, tuple):
         return float(acceleration)
     times, values = zip(*acceleration, strict=True)
@@ -47,8 +56,15 @@ def acceleration_at(acceleration: Acceleration, time: float) -> float:
 
 
 def acceleration_of(value: Any, limits: Limits | None = None) -> Acceleration:
-    """An acceleration from what JSON holds: a number or a list of [time, m/s2]. Raises ValueError: it is neither, or
-    beyond the limits where they are given; with a sentence."""
+    """Read an acceleration from decoded JSON.
+
+    Args:
+        value: A number, or a list of [time, acceleration] pairs.
+        limits: The limits that each value must respect; None if there are none.
+
+    Raises:
+        ValueError: The value has another form, or exceeds the limits. The message is a sentence.
+    """
     knots = value if isinstance(value, list | tuple) else [[0.0, value]]
     if not 1 <= len(knots) <= MAX_KNOTS or not all(isinstance(k, list | tuple) and len(k) == 2 for k in knots):
         raise ValueError(f"acceleration must be a number or 1 to {MAX_KNOTS} knots [time, acceleration].")
@@ -66,15 +82,25 @@ def acceleration_of(value: Any, limits: Limits | None = None) -> Acceleration:
 
 
 def plain_acceleration(acceleration: Acceleration) -> float | list[list[float]]:
-    """An acceleration as JSON has it: a number or a list of [time, m/s2]."""
+    """Convert an acceleration to data for JSON: a number, or a list of [time, acceleration] pairs."""
     return [list(k) for k in acceleration] if isinstance(acceleration, tuple) else acceleration
 
 
 @dataclass(frozen=True, slots=True)
 class Boxes:
-    """Oriented, moving boxes. All arrays broadcast against one another (any shape, often ``(time,)`` or ``(n, time)``).
-    x, y: centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m]; z: height of the road under it
-    [m], a number where all is flat (see ``geometry.same_layer``)."""
+    """Oriented, moving boxes.
+
+    All arrays broadcast against one another. Common shapes are ``(time,)`` and ``(n, time)``.
+
+    Attributes:
+        x: The x position of the centre [m].
+        y: The y position of the centre [m].
+        heading: The heading [rad].
+        speed: The speed along the heading [m/s].
+        length: The length [m].
+        width: The width [m].
+        z: The height of the road under the box [m]; a number if the network is flat (see ``geometry.same_layer``).
+    """
 
     x: Floats
     y: Floats
@@ -87,9 +113,22 @@ class Boxes:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One vehicle's motion on a regular time grid. Arrays are ``(n,)``. time [s]; x, y box centre [m]; heading [rad];
-    speed [m/s]; acceleration [m/s2]; lane: SUMO lane ids ('' = off); z: height of the road [m], a number where all is
-    flat."""
+    """One vehicle's motion on a regular time grid. Arrays have the shape ``(n,)``.
+
+    Attributes:
+        id: The vehicle's id.
+        role: The vehicle's role.
+        time: The times [s].
+        x: The x position of the box centre [m].
+        y: The y position of the box centre [m].
+        heading: The heading [rad].
+        speed: The speed [m/s].
+        acceleration: The acceleration [m/s2].
+        length: The vehicle's length [m].
+        width: The vehicle's width [m].
+        lane: SUMO's lane ids; an id is '' if the vehicle is on no lane.
+        z: The height of the road [m]; a number if the network is flat.
+    """
 
     id: str
     role: Role
@@ -105,15 +144,15 @@ class Track:
     z: Floats | float = 0.0
 
     def boxes(self) -> Boxes:
-        """The track as boxes over time."""
+        """Return the track as boxes over time."""
         return Boxes(self.x, self.y, self.heading, self.speed, self.length, self.width, self.z)
 
     def between(self, start: float, end: float) -> Track:
-        """The part with ``start <= time <= end`` (with half a millisecond of slack)."""
+        """Return the part with ``start <= time <= end``, with half a millisecond of tolerance."""
         return self.picked(np.flatnonzero((self.time >= start - 5e-4) & (self.time <= end + 5e-4)))
 
     def picked(self, keep: Ints) -> Track:
-        """The states at these places."""
+        """Return the states at the indices ``keep``."""
         lane = tuple(self.lane[i] for i in keep) if self.lane else ()
         return Track(
             self.id, self.role, self.time[keep], self.x[keep], self.y[keep], self.heading[keep], self.speed[keep],
@@ -156,9 +195,15 @@ class RoadGeometry(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RoadPlace:
-    """What surrounds the ego when an attack may begin. road: None off the network. limit: the speed limit [m/s], None
-    off the network. speed: the ego's [m/s]. vehicles_near: how many vehicles are within 70 m of it. geometry: None off
-    the network and before a junction at which ways cross."""
+    """The surroundings of the ego when an attack may begin.
+
+    Attributes:
+        road: The class of the road; None off the network.
+        limit: The speed limit [m/s]; None off the network.
+        speed: The ego's speed [m/s].
+        vehicles_near: The number of vehicles within 70 m of the ego.
+        geometry: The geometry of the road; None off the network and ahead of a junction at which paths cross.
+    """
 
     road: RoadClass | None
     limit: float | None
@@ -169,8 +214,20 @@ class RoadPlace:
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """One vehicle at one time. x, y box centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; z: height of the
-    road under it [m]."""
+    """The state of one vehicle at one time.
+
+    Attributes:
+        id: The vehicle's id.
+        x: The x position of the box centre [m].
+        y: The y position of the box centre [m].
+        heading: The heading [rad].
+        speed: The speed [m/s].
+        acceleration: The acceleration [m/s2].
+        length: The vehicle's length [m].
+        width: The vehicle's width [m].
+        lane: The id of SUMO's lane.
+        z: The height of the road under the vehicle [m].
+    """
 
     id: str
     x: float
@@ -186,11 +243,17 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True)
 class DriverModel:
-    """How the ego's driver is predicted: which rules it follows, and the numbers of its car following.
+    """The model that predicts the ego's driver: its rules and its car-following parameters.
 
-    kind: ``krauss``, ``idm``, ``eidm``, ``careful`` or ``replay``. acceleration, deceleration, hardest_braking: all
-    positive [m/s2]; tau: headway [s]; min_gap: gap at standstill [m]; speed: desired speed [m/s]. known: False if the
-    model is an assumption.
+    Attributes:
+        kind: The rules: ``krauss``, ``idm``, ``eidm``, ``careful`` or ``replay``.
+        acceleration: The maximum acceleration [m/s2].
+        deceleration: The deceleration [m/s2], positive.
+        tau: The headway [s].
+        min_gap: The gap at standstill [m].
+        speed: The desired speed [m/s].
+        known: Whether the model is known; False if it is an assumption.
+        hardest_braking: The hardest braking [m/s2], positive.
     """
 
     kind: str
@@ -205,8 +268,14 @@ class DriverModel:
 
 @dataclass(frozen=True, slots=True)
 class PrescribedMotion:
-    """An adversary's motion given in advance: its box centre, one pose a step from the step after the takeover on. x, y
-    [m]; heading [rad]; speed [m/s]: arrays ``(n,)``."""
+    """An adversary's motion that is given in advance: one pose per step, from the step after the takeover on.
+
+    Attributes:
+        x: The x positions of the box centre [m], ``(n,)``.
+        y: The y positions of the box centre [m], ``(n,)``.
+        heading: The headings [rad], ``(n,)``.
+        speed: The speeds [m/s], ``(n,)``.
+    """
 
     x: Floats
     y: Floats
@@ -216,8 +285,14 @@ class PrescribedMotion:
 
 @dataclass(frozen=True, slots=True)
 class ObservedMotion:
-    """How the ego went in an attempt: station on its path [m], offset from it [m, left positive] and speed [m/s] by
-    step from the takeover, ``(n,)``. ``seen``: the number of steps that were seen, the rest is at an even speed."""
+    """The ego's motion in an attempt, one value per step from the takeover on.
+
+    Attributes:
+        s: The stations on the ego's path [m], ``(n,)``.
+        d: The offsets from the path [m], left positive, ``(n,)``.
+        v: The speeds [m/s], ``(n,)``.
+        seen: The number of steps that were observed. The remaining steps assume a constant speed.
+    """
 
     s: Floats
     d: Floats

@@ -1,4 +1,4 @@
-"""How a run ends, and what an attempt is worth."""
+"""How a run ends, and how an attempt is judged."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from enum import IntEnum, StrEnum
 
 
 class Ending(StrEnum):
-    """How an episode ended; ``ENDING_SENTENCES`` says it in words."""
+    """How an episode ended. ``ENDING_SENTENCES`` has a sentence for each."""
 
-    GOAL_MET = "critical"  # the text in files is older than the levels
+    GOAL_MET = "critical"  # this text in files predates the levels
     ATTEMPTS_EXHAUSTED = "attempts_exhausted"
     NO_ENCOUNTER = "no_encounter"
     EGO_LEFT = "ego_left"
@@ -38,11 +38,11 @@ FAILED_ENDINGS = frozenset({
     Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
     Ending.INTERRUPTED,
 })  # fmt: skip
-"""Endings of episodes that failed: they say nothing about the ego."""
+"""Endings of episodes that failed. Such an episode says nothing about the ego."""
 
 
 class Level(IntEnum):
-    """How far an attempt came; see ``metrics/levels.py``."""
+    """The level that an attempt reached; see ``metrics/levels.py``."""
 
     NONE = 0
     CRITICAL = 1
@@ -52,7 +52,7 @@ class Level(IntEnum):
     SERIOUS = 5
 
     def __str__(self) -> str:
-        """The level in lower case."""
+        """Return the level's name in lower case."""
         return self.name.lower()
 
 
@@ -61,12 +61,13 @@ class Preventability:
     """Which reference drivers avoid a collision.
 
     Attributes:
-        answers: By driver, ``avoids``, ``collides`` or ``not_applicable``, by the kinematic check: the adversary moves
-            as recorded and planned.
-        alarms: By driver, when a danger first showed to it [s], only of those before the contact.
-        inconclusive: None, or why the check says nothing: no_hazard | unchanged_ego_misses | no_plan.
-        in_loop: By driver, ``avoids`` or ``collides`` by the check in the loop: the adversary plans again. Empty if the
-            collision was not checked so; only drivers that avoid it in the kinematic check are asked.
+        answers: The result of the kinematic check, by driver: ``avoids``, ``collides`` or ``not_applicable``. In this
+            check, the adversary moves as recorded and planned.
+        alarms: The time at which a danger first showed [s], by driver. Only times before the contact are included.
+        inconclusive: Why the check says nothing: no_hazard, unchanged_ego_misses or no_plan. None if it is conclusive.
+        in_loop: The result of the closed-loop check, by driver: ``avoids`` or ``collides``. In this check, the
+            adversary plans again. Only drivers that avoid the collision in the kinematic check are tested. Empty if
+            there was no closed-loop check.
     """
 
     answers: Mapping[str, str]
@@ -76,20 +77,23 @@ class Preventability:
 
     @property
     def simulated(self) -> bool:
-        """Whether drivers were asked in the loop."""
+        """Whether there was a closed-loop check."""
         return bool(self.in_loop)
 
     @property
     def by(self) -> tuple[str, ...]:
-        """The drivers that avoid it in each check that was made."""
+        """The drivers that avoid the collision in every check that was made."""
         avoids = (name for name, answer in self.answers.items() if answer == "avoids")
         return tuple(name for name in avoids if not self.in_loop or self.in_loop.get(name) == "avoids")
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What one attempt came to, as ``metrics/verdict.py`` judges it. Times s, distances m, never = ``inf``; None = the
-    question does not arise."""
+    """The verdict of ``metrics/verdict.py`` on one attempt.
+
+    Times are in s and distances in m. The value ``inf`` means that something never happens, and None that a field does
+    not apply.
+    """
 
     min_ttc: float
     min_distance: float
@@ -98,7 +102,7 @@ class Verdict:
     feasible: bool
     rear_end: bool
     failed_gates: tuple[str, ...] = ()
-    log_gates: tuple[str, ...] = ()  # broken by the log of the adversary before the take-over; they do not count
+    log_gates: tuple[str, ...] = ()  # violated by the adversary's log before the takeover; they do not count
     min_ttc_any: float = float("inf")
     min_pet: float = float("inf")
     max_drac: float = 0.0
@@ -118,7 +122,7 @@ class Verdict:
     severity: str | None = None  # negligible | minor | moderate | severe
     injury_risk: float | None = None
     impact_speed: float | None = None  # m/s, at which a pedestrian or cyclist is hit; None for a vehicle
-    misfits: tuple[str, ...] = ()  # differences from the attack that was asked for, a sentence each
+    misfits: tuple[str, ...] = ()  # differences from the requested attack, one sentence each
 
     @property
     def counts(self) -> bool:
@@ -139,12 +143,20 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What an attempt showed, for the modifier. Times in s after its start.
+    """Measurements of an attempt for the modifier. Times are in s after the attempt's start.
 
-    time: of the nearest approach; ego_frame, bv_frame: the other's centre ahead and to the left of the one named [m];
-    early: by how much the BV was there before the ego where their paths come together (negative: late), None if the
-    paths never do; ego_reaction: when the ego began to brake, None = never; ego_braking [m/s2, positive] and ego_shift
-    [m sideways]: the most it did; bound: names of the limits that the BV reached.
+    Attributes:
+        time: The time of the nearest approach [s].
+        ego_frame: The BV's centre at that time, ahead and to the left of the ego [m].
+        bv_frame: The ego's centre at that time, ahead and to the left of the BV [m].
+        ego_speed: The ego's speed at that time [m/s].
+        bv_speed: The BV's speed at that time [m/s].
+        early: How long before the ego the BV is where their paths meet [s]; negative if it is later. None if the paths
+            never meet.
+        ego_reaction: The time at which the ego began to brake [s]; None if it never did.
+        ego_braking: The ego's hardest braking [m/s2], positive.
+        ego_shift: The ego's largest sideways displacement [m].
+        bound: The names of the limits that the BV reached.
     """
 
     time: float

@@ -1,6 +1,7 @@
-"""Whether a driver is ready to be tested: it drives unattacked, and faults of the driver or of its adapter are named.
+"""Check whether a driver is ready to be tested.
 
-``check_driver`` drives it through scenarios and returns what it found; ``sumo-adv doctor --ego NAME`` prints that.
+The driver drives unattacked, and the check names faults of the driver or of its adapter. ``check_driver`` drives it
+through scenarios and returns the findings. ``sumo-adv doctor --ego NAME`` prints them.
 """
 
 from sumo_adv.driver_check.check import (

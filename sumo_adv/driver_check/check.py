@@ -1,7 +1,7 @@
-"""The check of one driver: which scenarios, how often each is driven, and what the drives come to.
+"""The check of one driver: which scenarios it drives, how often it drives each, and the findings.
 
-``run`` attacks the ego of a scenario, which mostly has the right of way. The check has the driver drive another vehicle
-there, because it is to turn, wait and give way.
+``run`` attacks the ego of a scenario, which usually has the right of way. In the check, the driver often drives another
+vehicle of the scenario, because it should turn, wait and give way.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput, data_folder, load_input
 
 CHECK_SCENARIOS = (
-    ("check/stop_and_go", "ego"),  # follows, stops behind a leader, goes on; traffic in the other direction
+    ("check/stop_and_go", "ego"),  # follows, stops behind a leader, continues; traffic in the other direction
     ("motorway_cut_in_left", "ego"),  # a motorway with traffic beside it
     ("onramp_cut_in", "ego"),  # passes an on-ramp from which others merge
     ("oncoming_in_bend", "ego"),  # a bend with traffic in the other direction
@@ -36,33 +36,46 @@ CHECK_SCENARIOS = (
     ("priority_left_turn_oncoming", "turning"),  # turns left through traffic that has priority
     ("t_junction_left_from_stem", "from_south"),  # turns left from the minor road
     ("t_junction_left_from_stem", "south_second"),  # turns right from the minor road
-    ("signals_red_light", "red_south"),  # waits for a light, then goes on
-    ("signals_left_turn", "turning"),  # turns left at a light through traffic that has green, too
+    ("signals_red_light", "red_south"),  # waits for a light, then continues
+    ("signals_left_turn", "turning"),  # turns left at a light through traffic that has green as well
     ("allway_stop_from_right", "ego"),  # all must stop
     ("roundabout_entry", "entering"),  # enters a roundabout and goes half around
 )
-"""Shipped scenarios, with the vehicle that is driven."""
-# From the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
+"""Shipped scenarios, each with the vehicle that the driver drives."""
+# From the beginning of a scenario; in that time, SUMO's drivers wait for the light and pass it
 DRIVE_DURATION_S = 45.0
 # A clock is set forward by 9973 steps, a prime number, so that no plan's length divides it
 CLOCK_SHIFT_S = 997.3
-REPEATED_DRIVE_TOLERANCE_M = 1e-6  # by which a drive may differ that is repeated
-# A drive with another clock may differ more: larger numbers are rounded otherwise, which tips a choice.
+REPEATED_DRIVE_TOLERANCE_M = 1e-6  # largest difference between repeated drives
+# A drive with another clock may differ more: larger numbers are rounded differently, which can change a decision
 SHIFTED_DRIVE_TOLERANCE_M = 1.0
 
 
 def twelve() -> tuple[RunInput, ...]:
-    """The inputs; each is named ``scenario:vehicle``. Raises UsageError: shipped files are missing."""
+    """Load the twelve inputs of the check. Each is named ``scenario:vehicle``.
+
+    Raises:
+        UsageError: Shipped files are missing.
+    """
     return tuple(shipped_drive(scenario, vehicle) for scenario, vehicle in CHECK_SCENARIOS)
 
 
 def shipped_drive(scenario: str, vehicle: str) -> RunInput:
+    """Load a shipped scenario with another vehicle as the ego.
+
+    Args:
+        scenario: The scenario's path in the folder ``scenarios``, without extension.
+        vehicle: The id of the vehicle that the driver drives.
+
+    Raises:
+        UsageError: Shipped files are missing.
+    """
     run_input = load_input(data_folder("scenarios") / f"{scenario}.toml")
     return replace(run_input, name=f"{run_input.name}:{vehicle}", ego=vehicle)
 
 
 def by_name(name: str) -> RunInput | None:
-    """One of the twelve by its name in the table, ``scenario:vehicle``; None if there is none."""
+    """Load one of the twelve inputs by its name in the table, ``scenario:vehicle``; None if there is none."""
     found = (
         shipped_drive(scenario, vehicle)
         for scenario, vehicle in CHECK_SCENARIOS
@@ -73,7 +86,15 @@ def by_name(name: str) -> RunInput | None:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """One scenario: how long [s] and how far [m] the driver and SUMO's IDM drove, and what was found."""
+    """The check of one scenario.
+
+    Attributes:
+        scenario: The input's name.
+        seconds: How long the driver drove [s].
+        metres: How far the driver drove [m].
+        idm_metres: How far SUMO's IDM drove [m].
+        findings: The findings.
+    """
 
     scenario: str
     seconds: float
@@ -84,12 +105,12 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class DriverCheck:
-    """What the check of one driver found.
+    """The result of the check of one driver.
 
     Attributes:
         ego: The driver.
-        scenarios: Those that were driven.
-        times: How long an answer takes; None if SUMO drives.
+        scenarios: The scenarios that were driven.
+        times: How long the driver's answers take; None if SUMO drives.
         stopped: Whether Ctrl-C ended the check before the last scenario.
     """
 
@@ -100,6 +121,7 @@ class DriverCheck:
 
     @property
     def kinds(self) -> tuple[FindingKind, ...]:
+        """The kinds of the findings in all scenarios, in the order of ``FindingKind``."""
         present = {finding.kind for checked in self.scenarios for finding in checked.findings}
         return tuple(kind for kind in FindingKind if kind in present)
 
@@ -113,13 +135,20 @@ def check_driver(
     seconds: float = DRIVE_DURATION_S,
     tell: Callable[[Checked], None] = lambda checked: None,
 ) -> DriverCheck:
-    """Drive ``settings.ego`` unattacked through the inputs, each for ``seconds`` [s].
+    """Drive ``settings.ego`` unattacked through the inputs.
 
-    engine: a process that drives. folder: for generated demand. tell: called with each scenario
-    as soon as it is done. Ctrl-C ends the check, and what was driven until then is returned.
+    Ctrl-C ends the check, which then returns the scenarios that are finished.
+
+    Args:
+        engine: The process that drives.
+        inputs: The scenarios.
+        settings: The settings.
+        folder: The folder for generated demand.
+        seconds: The duration of each drive [s].
+        tell: Called with each scenario as soon as it is finished.
 
     Raises:
-        UsageError: the driver cannot be made, or an input is a recording.
+        UsageError: The driver cannot be created, or an input is a recording.
         SimulationError: SUMO does not start, or the driver ended the process.
     """
     checked, drives = list[Checked](), list[UnattackedDrive]()
@@ -156,7 +185,7 @@ def _check(engine: Engine[CheckWorker], task: Task, name: str) -> tuple[Unattack
 
 
 def _repeated(engine: Engine[CheckWorker], task: Task, first: UnattackedDrive) -> list[DriverFinding]:
-    """Drive once more with the same object and another clock. Only if that differs, further drives say why."""
+    """Drive once more with the same object and another clock. If that differs, find the reason with further drives."""
     later = engine.call(CheckWorker.drive, task, fresh=False, later=CLOCK_SHIFT_S)
     if later.failure:
         words = f"only if its clock is {CLOCK_SHIFT_S:g} s ahead: {later.failure}"

@@ -1,6 +1,6 @@
-"""One unattacked drive, in the engine process: the road, the traffic and the steps are those of ``sumo-adv run``.
+"""One unattacked drive in the engine process. The road, the traffic and the steps are those of ``sumo-adv run``.
 
-The driver is wrapped, so that its answers and the time they take are noted, and its clock can be set forward.
+A wrapper around the driver records its answers and the time that they take. It can also set the driver's clock forward.
 """
 
 from __future__ import annotations
@@ -30,19 +30,24 @@ from sumo_adv.simulation.network import RoadMap, read_network
 
 # Between a car and the lane that it is in: 60 degrees, for cars that turn on a junction
 MAX_DRIVEN_LANE_ANGLE_RAD = 1.05
-# After the begin; the ego is chosen then if the input names none: traffic is there by then.
+# After the beginning; if the input names no ego, it is chosen then, because traffic is present by that time
 EGO_CHOICE_TIME_S = 15.0
-# A line this near can be passed in a step; the next one is further than it was
+# A line this near can be passed in one step; the next line is this much farther away
 LINE_PASSING_DISTANCE_M = 3.0
 NEXT_LINE_DISTANCE_M = 1.0
-MIN_WAIT_S = 1.0  # for which it must have had to wait: less is no time to brake in
+MIN_WAIT_S = 1.0  # the ego must have had to wait for this long, because a shorter time does not suffice to brake
 MIN_DRIVE_SPEED_M_S = 0.1
-ROAD_SEARCH_DISTANCE_M = 5.0  # around the ego's motion in which the road is looked at
+ROAD_SEARCH_DISTANCE_M = 5.0  # the road is read up to this far around the ego's motion
 
 
 @dataclass(frozen=True, slots=True)
 class PassedLine:
-    """A stop line that the ego passed at ``time`` [s] though it had to wait; ``signal``: as in ``StopLine``."""
+    """A stop line that the ego passed although it had to wait.
+
+    Attributes:
+        time: The time at which the ego passed the line [s].
+        signal: The state of the traffic light, as in ``StopLine``.
+    """
 
     time: float
     signal: str | None
@@ -50,14 +55,17 @@ class PassedLine:
 
 @dataclass(frozen=True, slots=True)
 class UnattackedDrive:
-    """What was recorded of one drive.
+    """The recording of one drive.
 
-    ego: its motion while the driver under test drove it. others: the other vehicles.
-    off_road ``(n, 4)``: how far its corners are from the carriageway [m]; off_lane ``(n,)``: how far its centre is from
-    the nearest lane that leads its way [m]; both for the n states of ``ego``, and 0 inside.
-    poses: for each ``Pose`` that the driver returned, the ego before the step and the pose. act: seconds that each
-    answer took. lines: the stop lines that it passed while it had to wait. failure: why the drive ended early; empty if
-    it did not.
+    Attributes:
+        ego: The ego's motion of n states, while the driver under test drove it.
+        others: The motions of the other vehicles.
+        off_road: The distances of the ego's corners from the carriageway [m], ``(n, 4)``; 0 on it.
+        off_lane: The distances of the ego's centre from the nearest lane that leads its way [m], ``(n,)``; 0 in it.
+        poses: For each ``Pose`` that the driver returned, the ego before the step and the pose.
+        act: The time that each answer took [s].
+        lines: The stop lines that the ego passed while it had to wait.
+        failure: Why the drive ended early; empty if it did not.
     """
 
     ego: Track
@@ -71,9 +79,21 @@ class UnattackedDrive:
 
 
 class ObservedDriver:
-    """A driver as it is, but for its clock: it sees ``observation.time`` later by ``later`` [s]."""
+    """A wrapper that records a driver's answers and sets its clock forward.
+
+    Attributes:
+        poses: For each ``Pose`` that the driver returned, the ego before the step and the pose.
+        seconds: The time that each answer took [s].
+        lines: The stop lines that the ego passed while it had to wait.
+    """
 
     def __init__(self, driver: EgoController, later: float) -> None:
+        """Wrap a driver.
+
+        Args:
+            driver: The driver.
+            later: The time by which the driver's clock is ahead of the simulation's [s].
+        """
         self._driver, self._later = driver, later
         self._line: StopLine | None = None  # the next one, in the last observation
         self._since = math.inf  # s, since when the ego must wait there
@@ -84,9 +104,11 @@ class ObservedDriver:
         self.lines: list[PassedLine] = []
 
     def reset(self, seed: int) -> None:
+        """Reset the driver."""
         self._driver.reset(seed)
 
     def act(self, observation: Observation) -> Action:
+        """Return the driver's answer, and record it."""
         self._watch_lines(observation)
         seen = replace(observation, time=observation.time + self._later) if self._later else observation
         with (watch := Stopwatch()):
@@ -97,7 +119,7 @@ class ObservedDriver:
         return action
 
     def _watch_lines(self, observation: Observation) -> None:
-        """Note a line at which the ego has had to wait, and which is no longer ahead."""
+        """Record a line at which the ego had to wait and which is no longer ahead."""
         road, front = observation.road, observation.ego.length / 2
         lines = () if road is None else road.stop_lines
         line = next((line for line in lines if line.ahead > front - LINE_PASSED_M), None)
@@ -117,15 +139,20 @@ class ObservedDriver:
 
 
 class CheckWorker:
-    """Drives one scenario after the other, in the engine process."""
+    """Drives one scenario after the other in the engine process."""
 
     def __init__(self, slots: Sequence[Connection] = ()) -> None:
+        """Prepare to drive. The connections ``slots`` are not used."""
         self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         self._roads: dict[Path, RoadMap] = {}
         self._driver: EgoController | None = None
 
     def choose(self, task: Task) -> str:
-        """The vehicle that a run of the task would choose for its ego. Raises UsageError: there is none in time."""
+        """Choose the vehicle that a run of the task would choose as its ego.
+
+        Raises:
+            UsageError: There is no such vehicle within ``EGO_CHOICE_TIME_S``.
+        """
         drive = self._made(replace(task, ego_driver="idm", ego_parameters={}), make_ego("idm", {}))
         try:
             search = EncounterSearch(
@@ -139,12 +166,18 @@ class CheckWorker:
             drive.simulation.close()
 
     def drive(self, task: Task, *, fresh: bool = True, later: float = 0.0) -> UnattackedDrive:
-        """Drive from the task's begin to its end, or until the ego has left the network.
+        """Drive from the task's beginning to its end, or until the ego has left the network.
 
-        fresh: make the driver anew; otherwise the last drive's object drives again, after its ``reset``.
-        later: seconds by which the driver's clock is ahead of the simulation's.
+        A fault of the driver or of SUMO during the drive is recorded as the drive's ``failure``.
 
-        Raises UsageError: the driver cannot be made. What fails later is the drive's ``failure``.
+        Args:
+            task: The task.
+            fresh: Whether to create a new driver. Otherwise, the last drive's object drives again after its ``reset``.
+            later: The time by which the driver's clock is ahead of the simulation's [s].
+
+        Raises:
+            UsageError: The driver cannot be created.
+            SimulationError: The ego was not inserted.
         """
         if fresh or self._driver is None:
             self._driver = make_ego(task.ego_driver, task.ego_parameters)
@@ -170,8 +203,8 @@ class CheckWorker:
 
 
 def _to_the_end(drive: Drive, road: RoadMap, task: Task) -> str:
-    """Drive; why the driver or SUMO failed, or empty."""
-    search = EncounterSearch(drive, road, replace(task, trigger=math.inf, only=()))  # an encounter that never begins
+    """Drive, and return why the driver or SUMO failed, or an empty string."""
+    search = EncounterSearch(drive, road, replace(task, trigger=math.inf, only=()))  # so that no encounter begins
     try:
         search.until_encounter()
     except SimulationError as error:
@@ -192,7 +225,7 @@ def _recorded(drive: Drive, road: RoadMap, task: Task, driver: ObservedDriver, f
 
 
 def distance_off_road(road: RoadMap, track: Track) -> Floats:
-    """How far the corners of a vehicle are from the carriageway [m], ``(n, 4)``; 0 on it."""
+    """Measure how far the corners of a vehicle are from the carriageway [m], ``(n, 4)``; 0 on it."""
     from shapely import distance, points
 
     x, y = float(np.median(track.x)), float(np.median(track.y))
@@ -201,7 +234,7 @@ def distance_off_road(road: RoadMap, track: Track) -> Floats:
 
 
 def off_lane(road: RoadMap, track: Track) -> Floats:
-    """How far the centre of a vehicle is from the nearest lane that leads its way [m], ``(n,)``; 0 in it."""
+    """Measure how far the centre of a vehicle is from the nearest lane that leads its way [m], ``(n,)``; 0 in it."""
     nearest = np.full(len(track.x), np.inf)
     low, high = (
         np.array([track.x.min(), track.y.min()]) - ROAD_SEARCH_DISTANCE_M,
@@ -215,7 +248,11 @@ def off_lane(road: RoadMap, track: Track) -> Floats:
 
 
 def _from_lane(shape: Floats, track: Track) -> Floats:
-    """Distance [m] from those parts of a centreline ``(k, 2)`` that lead a vehicle's way, ``(n,)``; inf without one."""
+    """Measure the distance from the parts of a centreline ``(k, 2)`` that lead a vehicle's way.
+
+    Returns:
+        The distances [m], ``(n,)``; inf if no part leads its way.
+    """
     step = np.diff(shape, axis=0)
     _, away = seen_from_segments(shape, track.x, track.y)
     turned: Bools = (

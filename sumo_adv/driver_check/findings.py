@@ -1,6 +1,6 @@
-"""What is wrong with a driver: pure functions of its unattacked drives.
+"""Find the faults of a driver: pure functions of its unattacked drives.
 
-Each threshold is far from what a driver does that is well but imperfect: the check looks for faults, not for style.
+The check looks for faults, not for style. Each threshold is far from the behaviour of a good but imperfect driver.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from sumo_adv.metrics.boxes import at_time, first_contact, on_grid, row_of
 from sumo_adv.metrics.contact import contact_sides
 from sumo_adv.metrics.gates import kinematic_gates
 
-# Beyond the edge of road or lane for longer than this: no cutting of a corner.
+# Being this far outside the road or lane for longer than this is more than cutting a corner
 MAX_OUTSIDE_DISTANCE_M = 0.3
 MAX_OUTSIDE_DURATION_S = 0.5
-# Longer than SUMO's IDM stands in the same scenario.
+# The extra time is compared with the standstill of SUMO's IDM in the same scenario
 MAX_STANDSTILL_SPEED_M_S = 0.1
 MAX_EXTRA_STANDSTILL_S = 10.0
-MIN_PROGRESS_SHARE = 0.5  # share of the way of SUMO's IDM in the same time
-# A pose is a jump from 12 m/s2 on, both ways (gate ``continuity``)
+MIN_PROGRESS_SHARE = 0.5  # share of the distance that SUMO's IDM covers in the same time
+# From 12 m/s2 on, a pose is a jump, both when braking and accelerating (gate ``continuity``)
 POSSIBLE_LIMITS = Limits(braking=8.0, acceleration=6.0)
-FRONT_SHARE = (0.35, 0.65)  # of the ego's length: a jump ahead by about half of it
+FRONT_SHARE = (0.35, 0.65)  # share of the ego's length; a jump ahead by about half of it suggests the front bumper
 
 
 class FindingKind(StrEnum):
@@ -70,12 +70,18 @@ FINDING_MEANINGS: Mapping[FindingKind, str] = {
     FindingKind.RANDOM: "Two new drivers drive the same scenario differently, so no attack on it can be "
     "repeated; seed its random numbers in reset(seed), and let no wall clock or thread decide.",
 }
-"""What a kind of finding means, and what to look at."""
+"""The meaning of each kind of finding, and what to check."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriverFinding:
-    """One finding in one scenario; ``time``: when it is first seen [s]; ``words``: what happened."""
+    """One finding in one scenario.
+
+    Attributes:
+        kind: The kind of fault.
+        time: The time at which the fault first shows [s].
+        words: The fault in words.
+    """
 
     kind: FindingKind
     time: float
@@ -83,9 +89,14 @@ class DriverFinding:
 
 
 def find_faults(drive: UnattackedDrive, idm: UnattackedDrive) -> list[DriverFinding]:
-    """What is wrong in one drive. Nothing after a collision is judged, because it follows from that.
+    """Find the faults in one drive.
 
-    idm: the drive of SUMO's IDM in the same scenario.
+    Lines, lanes and the road are not judged after a collision, and neither is progress, because later faults may follow
+    from it.
+
+    Args:
+        drive: The drive of the driver under test.
+        idm: The drive of SUMO's IDM in the same scenario.
     """
     findings = [DriverFinding(FindingKind.FAILS, float(drive.ego.time[-1]), drive.failure)] if drive.failure else []
     contact, jump = _contact(drive), _jump(drive)
@@ -120,7 +131,7 @@ def _contact(drive: UnattackedDrive) -> DriverFinding | None:
 
 
 def _outside(drive: UnattackedDrive, steps: int) -> list[DriverFinding]:
-    """Off the road, else off its lane, within the first ``steps`` states."""
+    """Find whether the ego leaves the road or, if it does not, its lane within the first ``steps`` states."""
     time = drive.ego.time[:steps]
     if len(time) < 2:
         return []
@@ -136,7 +147,7 @@ def _outside(drive: UnattackedDrive, steps: int) -> list[DriverFinding]:
 
 
 def _lags(ego: Track, idm: Track) -> list[DriverFinding]:
-    """Stands, else is slow."""
+    """Find whether the ego stands or, if it does not, is slow."""
     dt = float(ego.time[1] - ego.time[0]) if len(ego.time) > 1 else 1.0
     first, steps = longest(ego.speed < MAX_STANDSTILL_SPEED_M_S)
     stood, would = steps * dt, longest(idm.speed < MAX_STANDSTILL_SPEED_M_S)[1] * dt
@@ -151,7 +162,7 @@ def _lags(ego: Track, idm: Track) -> list[DriverFinding]:
 
 
 def _jump(drive: UnattackedDrive) -> DriverFinding | None:
-    """The first pose that a car cannot reach in its step."""
+    """Find the first pose that a car cannot reach in its step."""
     if not drive.poses:
         return None
     dt = float(drive.ego.time[1] - drive.ego.time[0]) if len(drive.ego.time) > 1 else 0.1
@@ -176,9 +187,17 @@ def _jump(drive: UnattackedDrive) -> DriverFinding | None:
 
 
 def first_separation(a: Track, b: Track, beyond: float) -> tuple[float, float]:
-    """When two motions are first more than ``beyond`` [m] apart [s] (inf: never), and how far they are at most [m].
+    """Compare two motions.
 
-    A motion that ends earlier counts as infinitely far from there on, where the other goes on.
+    If they do not separate while both last, but one ends earlier, they separate at its end with an infinite distance.
+
+    Args:
+        a: The first motion.
+        b: The second motion.
+        beyond: The distance from which they count as separated [m].
+
+    Returns:
+        The time at which they first separate [s], or inf if they never do; and their largest distance [m].
     """
     steps = min(len(a.time), len(b.time))
     far = np.hypot(a.x[:steps] - b.x[:steps], a.y[:steps] - b.y[:steps])
@@ -191,12 +210,16 @@ def first_separation(a: Track, b: Track, beyond: float) -> tuple[float, float]:
 
 
 def travelled(track: Track) -> float:
-    """The length of a motion [m]."""
+    """Return the length of a motion [m]."""
     return float(np.hypot(np.diff(track.x), np.diff(track.y)).sum())
 
 
 def longest(flags: Bools) -> tuple[int, int]:
-    """Where the longest run of true values begins, and its length."""
+    """Find the longest run of true values.
+
+    Returns:
+        Its first index and its length; 0 and 0 if there is none.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     starts, lengths = edges[::2], edges[1::2] - edges[::2]
     if not len(starts):
@@ -205,23 +228,23 @@ def longest(flags: Bools) -> tuple[int, int]:
     return int(starts[k]), int(lengths[k])
 
 
-PLANNING_SHARE = 0.5  # of the time within which 99 % of the answers come: an answer that takes longer is a plan
+PLANNING_SHARE = 0.5  # an answer is a plan if it takes longer than this share of the 99th percentile
 
 
 @dataclass(frozen=True, slots=True)
 class AnswerTimes:
     """How long a driver's answers take.
 
-    Many planners plan in some steps and follow their plan in the others, so the median says nothing of a plan. An
-    answer is a plan if it takes more than half of the time within which 99 % of the answers come.
+    Many planners plan in some steps and follow their plan in the others, so the median says nothing about the time of a
+    plan. An answer counts as a plan if it takes more than half of the time within which 99 % of the answers arrive.
 
     Attributes:
-        count: How many answers there were.
-        mean: Mean of all of them [ms].
-        median: Their median [ms].
-        p99: The time within which 99 % of them come [ms].
-        plans: How many of them are plans.
-        plan_mean: Mean of the plans [ms].
+        count: The number of answers.
+        mean: The mean time of all answers [ms].
+        median: The median time of all answers [ms].
+        p99: The time within which 99 % of the answers arrive [ms].
+        plans: The number of plans.
+        plan_mean: The mean time of the plans [ms].
     """
 
     count: int
@@ -233,7 +256,7 @@ class AnswerTimes:
 
     @property
     def words(self) -> str:
-        """For people, in one line."""
+        """The times in words, on one line."""
         quantiles = f"median {self.median:.2g} ms, 99 % within {self.p99:.2g} ms"
         line = f"An answer takes {self.mean:.2g} ms in the mean ({quantiles})."
         if self.plans > PLANNING_SHARE * self.count:
@@ -244,7 +267,7 @@ class AnswerTimes:
 
 
 def answer_times(drives: Sequence[UnattackedDrive]) -> AnswerTimes | None:
-    """The times of all answers in some drives; None without answers."""
+    """Summarize the times of all answers in some drives; None if there are no answers."""
     act = 1e3 * np.concatenate([np.zeros(0), *(drive.act for drive in drives)])
     if not len(act):
         return None

@@ -1,4 +1,4 @@
-"""Whether an input is run as SUMO runs it, and what was read of it."""
+"""Check whether this program runs an input as SUMO does, and count what was read from it."""
 
 from sumo_adv.input_check.check import InputCheck, check_input
 from sumo_adv.input_check.motions import MotionComparison

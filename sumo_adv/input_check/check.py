@@ -1,4 +1,4 @@
-"""The check of one input: what was read of it, and whether its traffic moves here as it does in SUMO."""
+"""The check of one input: what was read from it, and whether its traffic moves in this program as it does in SUMO."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from sumo_adv.simulation.warnings_log import WarningKind, kinds_of
 
 @dataclass(frozen=True, slots=True)
 class InputCheck:
-    """What the check of an input found.
+    """The result of the check of an input.
 
     Attributes:
         source: The input's file.
-        contents: What was read, counted by kind.
+        contents: The number of elements that were read, by kind.
         notes: What was converted, left out, or is not kept.
-        comparison: With the program ``sumo``; None where there is no simulation to compare with.
-        own_step: The same with the step that SUMO itself takes; None where it is this program's.
-        classes: Vehicles and persons on foot by SUMO's class.
-        warnings: SUMO's, by kind.
-        not_inserted: Vehicles and persons that should have departed, and came neither here nor in SUMO.
+        comparison: The comparison with the program ``sumo``; None if there is no simulation to compare with.
+        own_step: The comparison with ``sumo`` at the step length of its own configuration; None if that is the step
+            length of this program.
+        classes: The number of vehicles and persons on foot, by SUMO's class.
+        warnings: SUMO's warnings, by kind.
+        not_inserted: Vehicles and persons that should have departed but appeared neither in this program nor in SUMO.
     """
 
     source: Path
@@ -44,16 +45,21 @@ class InputCheck:
 
     @property
     def same(self) -> bool:
-        """Whether the traffic moves as in SUMO, or there is none."""
+        """Whether the traffic moves as in SUMO, or there is no traffic."""
         return self.comparison is None or self.comparison.same
 
 
 def check_input(
     engine: Engine[WatchWorker], run_input: RunInput, settings: Settings, folder: Path, seconds: float
 ) -> InputCheck:
-    """Check an input over ``seconds`` [s] from its first departure, or until its end.
+    """Check an input.
 
-    engine: a process that runs the simulation. folder: for generated files.
+    Args:
+        engine: The process that runs the simulation.
+        run_input: The input.
+        settings: The settings.
+        folder: The folder for generated files.
+        seconds: The time from the first departure that is simulated [s]; less if the input ends earlier.
 
     Raises:
         UsageError: The input cannot be run, or the program ``sumo`` is not installed.

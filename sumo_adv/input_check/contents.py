@@ -1,4 +1,4 @@
-"""What was read of an input: counts by kind."""
+"""Count the contents of an input by kind."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EDGE_KINDS = {"crossing": "pedestrian crossings", "walkingarea": "walking areas"
 
 
 def contents_of(run_input: RunInput) -> Mapping[str, int]:
-    """Counts of what an input holds, by kind: its network's, its demand's, its recording's."""
+    """Count the elements of an input's network, demand and recording, by kind."""
     counts = Counter(_network(run_input.network))
     for file in (*run_input.routes, *run_input.additional):
         scan = scan_demand(file)
@@ -31,12 +31,21 @@ def contents_of(run_input: RunInput) -> Mapping[str, int]:
 
 
 def departures(run_input: RunInput, first: float, last: float) -> frozenset[str]:
-    """The vehicles and persons that are to depart from ``first`` to ``last`` [s]; without those of flows."""
+    """Find the vehicles and persons that should depart within a period, without those of flows.
+
+    Args:
+        run_input: The input.
+        first: The beginning of the period [s].
+        last: The end of the period [s], which is not included.
+
+    Returns:
+        Their ids; persons as ``person:ID``.
+    """
     due: set[str] = set()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag in ("vehicle", "trip", "person"):
-            with contextlib.suppress(UsageError):  # "triggered" and the like are no times
+            with contextlib.suppress(UsageError):  # values such as "triggered" are not times
                 time = parse_seconds(run_input.path, "departure", attributes.get("depart"))
                 if time is not None and first <= time < last:
                     due.add((PERSON if tag == "person" else "") + attributes.get("id", ""))

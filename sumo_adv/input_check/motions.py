@@ -1,4 +1,4 @@
-"""Motions of a whole simulation, and how far two of them are apart."""
+"""Motions of a whole simulation, and the comparison of two of them."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from sumo_adv.simulation.sumo_states import PERSON
 State = tuple[float, float, float]  # x, y of the front [m], speed [m/s]
 Motions = Mapping[str, Mapping[int, State]]  # by id, persons as ``person:ID``, and time [ms]
 SAME_MOTION_TOLERANCE = 0.01  # m and m/s: SUMO's files have six decimals
-MAX_NAMED_IDS = 5  # in a sentence
+MAX_NAMED_IDS = 5  # ids that a sentence names
 
 
 @dataclass(frozen=True, slots=True)
 class MotionComparison:
-    """How a simulation here differs from that of the program ``sumo``, over all vehicles and persons.
+    """The differences between a simulation of this program and one of the program ``sumo``.
 
     Attributes:
-        seconds: How long both were compared [s].
-        step: Of the program ``sumo`` [s].
-        vehicles: In SUMO.
-        same_vehicles: Those that are here in every step, and nowhere more than ``SAME_MOTION_TOLERANCE`` away.
-        persons: In SUMO, on foot.
-        same_persons: The same of them.
-        position: The largest difference of a position [m].
-        speed: The largest difference of a speed [m/s].
-        worst: The vehicle or person of the largest difference of a position, with the time [s]; None without one.
-        missing: In SUMO, and never here.
-        additional: Here, and never in SUMO.
-        absent: In SUMO and here, but in some step in one of the two alone.
+        seconds: The time that was compared [s].
+        step: The step length of ``sumo`` [s].
+        vehicles: The number of vehicles in ``sumo``.
+        same_vehicles: The number of vehicles that are present in the same steps in both, and never differ by more than
+            ``SAME_MOTION_TOLERANCE``.
+        persons: The number of persons on foot in ``sumo``.
+        same_persons: The number of persons for which the same holds.
+        position: The largest difference between positions [m].
+        speed: The largest difference between speeds [m/s].
+        worst: The vehicle or person with the largest difference between positions, and the time of that difference [s];
+            None if no positions differ.
+        missing: The ids that appear in ``sumo`` and never in this program.
+        additional: The ids that appear in this program and never in ``sumo``.
+        absent: The ids that appear in both, but in some step only in one of the two.
     """
 
     seconds: float
@@ -55,7 +57,7 @@ class MotionComparison:
 
     @property
     def sentence(self) -> str:
-        """The comparison in words."""
+        """The comparison in one sentence."""
         persons = f" and {self.same_persons} of {self.persons} persons" if self.persons else ""
         words = (
             f"{self.same_vehicles} of {self.vehicles} vehicles{persons}, largest difference {self.position:.3f} m and "
@@ -72,7 +74,7 @@ class MotionComparison:
 
 
 def listed(names: tuple[str, ...]) -> str:
-    """The first of the names, and how many more there are."""
+    """Join the first ``MAX_NAMED_IDS`` names, and say how many more there are."""
     more = len(names) - MAX_NAMED_IDS
     return ", ".join(names[:MAX_NAMED_IDS]) + (f" and {more} more" if more > 0 else "")
 
@@ -80,8 +82,11 @@ def listed(names: tuple[str, ...]) -> str:
 def _without_ends(
     ours: dict[int, State], theirs: dict[int, State], every: int
 ) -> tuple[dict[int, State], dict[int, State]]:
-    """Both without one step at the ends that only one of them has: without interaction, SUMO writes the place at which
-    a person appears, and we read that at which it arrives."""
+    """Remove one step at each end that only one of the two motions has.
+
+    With the non-interacting pedestrian model, SUMO writes the place at which a person appears, and this program reads
+    the place at which the person arrives.
+    """
     if ours and theirs:
         ours.pop(max(theirs) + every, None)
         theirs.pop(min(ours) - every, None)
@@ -91,14 +96,14 @@ def _without_ends(
 def compare_motions(
     here: Motions, sumo: Motions, begin: float, times: tuple[float, float], step: float
 ) -> MotionComparison:
-    """Compare the states after the first and up to the last of ``times`` [s].
+    """Compare the motions of two simulations.
 
     Args:
-        here: Of this program; its step is a part of ``step``.
-        sumo: Of the program ``sumo``.
-        begin: Of both simulations [s].
-        times: Between which they are compared [s].
-        step: Of the program ``sumo`` [s].
+        here: The motions of this program. Its step length must divide ``step``.
+        sumo: The motions of the program ``sumo``.
+        begin: The beginning of both simulations [s].
+        times: The period of the comparison [s]. States at its beginning are left out.
+        step: The step length of ``sumo`` [s].
     """
     first, last = (round(1000 * time) for time in times)
     every, zero = round(1000 * step), round(1000 * begin)
@@ -109,7 +114,7 @@ def compare_motions(
     for name in sorted(here.keys() | sumo.keys()):
         ours = {t: s for t, s in here.get(name, {}).items() if first < t <= last and (t - zero) % every == 0}
         theirs = {t: s for t, s in sumo.get(name, {}).items() if first < t <= last}
-        if name.startswith(PERSON):  # a step in which it jumps is left out here
+        if name.startswith(PERSON):  # this program leaves out a step in which a person jumps
             theirs = {t: s for t, s in theirs.items() if math.dist(s[:2], theirs.get(t - every, s)[:2]) < reach}
             ours, theirs = _without_ends(ours, theirs, every)
         of_sumo |= {name} if theirs else set()

@@ -1,4 +1,4 @@
-"""The program ``sumo`` alone on a simulation, without this program: what it writes as FCD."""
+"""Run the program ``sumo`` without this program, and read the motions that it writes as FCD."""
 
 from __future__ import annotations
 
@@ -22,27 +22,39 @@ from sumo_adv.simulation.warnings_log import warnings_in
 
 SUMO_ALONE_TIMEOUT_S = 600.0
 READ_AT_ONCE_BYTES = 1 << 16
-WITHOUT_STEPS = "--pedestrian.model=nonInteracting"  # pedestrians whose places hold at the moment they are read
-FCD_DEVICES = ("device.fcd.", "person-device.fcd.")  # options that say of whom and when SUMO writes FCD
-# SUMO's option: a file with vehicles and types, whose parameters could have SUMO write
+WITHOUT_STEPS = "--pedestrian.model=nonInteracting"  # such a pedestrian's position is valid when it is read
+FCD_DEVICES = ("device.fcd.", "person-device.fcd.")  # options that set for whom and when SUMO writes FCD
+# SUMO's option for a file with vehicles and types, whose parameters could make SUMO write files
 LOAD_STATE_OPTION = "load-state"
 
 
 @dataclass(frozen=True, slots=True)
 class Alone:
-    """The motions of a simulation in the program ``sumo``, and its warnings."""
+    """The result of a simulation in the program ``sumo``.
+
+    Attributes:
+        motions: The motions of the vehicles and persons.
+        warnings: SUMO's warnings.
+    """
 
     motions: Motions
     warnings: tuple[str, ...]
 
 
 def arguments_of(spec: SimulationSpec, path: Path, step: float, folder: Path) -> list[str]:
-    """The options of ``sumo`` for an input in steps of ``step`` [s].
+    """Return the options of ``sumo`` for an input.
 
-    Of a .sumocfg they are those that it names, as SUMO reads them; of other inputs those of this program. The files are
-    the same ones, without outputs. folder: for a copy of a state without outputs.
+    For a .sumocfg, they are the options that it names, as SUMO reads them. For other inputs, they are the options of
+    this program. The files are the same as in this program, without outputs.
 
-    Raises UsageError: the state is missing or damaged.
+    Args:
+        spec: The simulation.
+        path: The input's file.
+        step: The step length [s].
+        folder: The folder for a copy of a saved state without outputs.
+
+    Raises:
+        UsageError: The saved state is missing or damaged.
     """
     spec = replace(
         spec, network=spec.network.absolute(), routes=tuple(file.absolute() for file in spec.routes),
@@ -55,24 +67,34 @@ def arguments_of(spec: SimulationSpec, path: Path, step: float, folder: Path) ->
     options = {**named, **_of_all(as_sumo_reads_it(path)), **FORCED, "step-length": repr(step)}
     if LOAD_STATE_OPTION in options:
         options[LOAD_STATE_OPTION] = str(silent_copies([Path(options[LOAD_STATE_OPTION])], folder)[0])
-    return [f"--{name}={value}" for name, value in options.items()]  # apart, a value could be an option of its own
+    return [f"--{name}={value}" for name, value in options.items()]  # a separate value could be read as an option
 
 
 def _of_all(options: Mapping[str, str]) -> dict[str, str]:
-    """The options with FCD of all vehicles and persons at all times. A probability becomes 1, as SUMO then draws its
-    random numbers as often as before."""
+    """Change the options so that SUMO writes FCD of all vehicles and persons at all times.
+
+    A probability becomes 1, because SUMO then draws its random numbers as often as before.
+    """
     kept = {name: value for name, value in options.items() if not name.startswith(FCD_DEVICES)}
     drawn = {f"{device}probability" for device in FCD_DEVICES} & options.keys()
     return {**kept, **dict.fromkeys(sorted(drawn), "1")}
 
 
 def run_alone(spec: SimulationSpec, path: Path, step: float, until: float, folder: Path) -> Alone:
-    """Run ``sumo`` on an input in steps of ``step`` [s] until ``until`` [s], where it is ended: its own end would
-    change flows. folder: for what it says.
+    """Run ``sumo`` on an input.
+
+    The process is killed at the end, because the option for SUMO's own end would change flows.
+
+    Args:
+        spec: The simulation.
+        path: The input's file.
+        step: The step length [s].
+        until: The time at which to stop [s].
+        folder: The folder for SUMO's messages.
 
     Raises:
         UsageError: The program is not installed, or refuses the input.
-        SimulationError: It takes too long.
+        SimulationError: The program takes longer than ``SUMO_ALONE_TIMEOUT_S``.
     """
     command = [
         str(find_sumo()), *arguments_of(spec, path, step, folder), "--fcd-output", "stdout",
@@ -105,8 +127,19 @@ def run_alone(spec: SimulationSpec, path: Path, step: float, until: float, folde
 
 
 def _read(stream: IO[bytes], step: float, until: float, walked: float) -> tuple[Motions, bool]:
-    """The states of FCD at the times after the steps, up to ``until`` [s], and whether it goes so far. SUMO writes the
-    state after a step with the time before it. ``walked``: how long a person has walked since that time [s]."""
+    """Read the states of FCD.
+
+    SUMO writes the state after a step with the time before the step. The states here have the time after it.
+
+    Args:
+        stream: The FCD output.
+        step: The step length [s].
+        until: The time up to which to read [s].
+        walked: How long a person has walked since the written time [s].
+
+    Returns:
+        The motions, and whether the output reaches beyond ``until``.
+    """
     motions: dict[str, dict[int, State]] = {}
     time, last = 0, round(1000 * until)
 

@@ -1,4 +1,4 @@
-"""The simulation of this program, unattacked, in the engine process: the same adapter and files as in a run."""
+"""Run a simulation of this program unattacked in the engine process, with the same adapter and files as in a run."""
 
 from __future__ import annotations
 
@@ -18,20 +18,34 @@ from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """The motions of a simulation, and its vehicles and persons on foot by SUMO's class."""
+    """The result of a simulation of this program.
+
+    Attributes:
+        motions: The motions of the vehicles and persons.
+        classes: The number of vehicles and persons on foot, by SUMO's class.
+    """
 
     motions: Motions
     classes: Mapping[str, int]
 
 
 class WatchWorker:
-    """Runs simulations, in the engine process."""
+    """Runs simulations in the engine process."""
 
     def __init__(self, slots: Sequence[Connection]) -> None:
-        """No fork runs, so the connections are not used."""
+        """Accept the connections ``slots``, which are not used because no fork runs."""
 
     def watch(self, spec: SimulationSpec, until: float) -> Watched:
-        """Run a simulation until ``until`` [s]. Raises UsageError or SimulationError: SUMO does not run it."""
+        """Run a simulation.
+
+        Args:
+            spec: The simulation.
+            until: The time at which to stop [s].
+
+        Raises:
+            UsageError: SUMO does not run the simulation.
+            SimulationError: SUMO does not run the simulation.
+        """
         motions: dict[str, dict[int, State]] = {}
         with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder:
             types = ego_type_file(make_ego("idm", {}), Path(folder))

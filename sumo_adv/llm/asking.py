@@ -1,6 +1,7 @@
-"""Questions with answers of a given type: take the JSON out of the reply, check it, and ask again with the exact fault.
+"""Ask a model for an answer of a given type: extract the JSON from the reply, check it, and ask again if it is wrong.
 
-The texts of faults are sent to the model. Recordings depend on them, so a changed text needs new recordings.
+The repeated question contains the exact fault. Recordings depend on the texts of faults, so a changed text needs new
+recordings.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm.chat import CUT_SHORT, ChatModel, ChatRequest, Ledger, Messages, run_in_thread, without_thought
 
 T = TypeVar("T", bound=BaseModel)
-MAX_LISTED_FAULTS = 200  # of an answer that are sent back: all, unless the answer is no sincere one
-MAX_OBJECTS_IN_PROSE = 40  # that are read from prose
-MAX_ECHO_CHARACTERS = 6000  # of a refused answer that are sent back
+MAX_LISTED_FAULTS = 200  # faults of an answer that are sent back; a serious answer has fewer
+MAX_OBJECTS_IN_PROSE = 40  # objects that are read from prose
+MAX_ECHO_CHARACTERS = 6000  # characters of a refused answer that are sent back
 
 _OBJECT = re.compile(r'\{(?=\s*["}])')
 _FENCE = re.compile(r"```[a-zA-Z]*[ \t]*\n(.*?)```", re.DOTALL)
@@ -46,13 +47,25 @@ def ask(
     sample: int = 0,
     schema: Mapping[str, Any] | None = None,
 ) -> T:
-    """The model's answer.
+    """Ask a model one question.
 
-    check: returns None for a usable answer, otherwise a sentence for the model that says what is wrong.
-    re_asks: how often a fault is sent back as a further turn of the conversation.
-    schema: a JSON schema that says more of the answer than its type, None for that of ``answer_type``.
+    Args:
+        metered: The model, and its ledger.
+        agent: The agent that asks.
+        system: The system message.
+        user: The user message.
+        answer_type: The type of the answer.
+        check: Returns None for a usable answer, or otherwise a sentence for the model that says what is wrong.
+        re_asks: How often a fault is sent back as a further turn of the conversation.
+        sample: A number that distinguishes repeated questions.
+        schema: A JSON schema that is more specific than the type; None means the schema of ``answer_type``.
 
-    Raises ModelError with the last fault, and BudgetError.
+    Returns:
+        The answer.
+
+    Raises:
+        ModelError: The model failed, or no answer was usable. The message contains the last fault.
+        BudgetError: The run's budget is used up.
     """
     messages: Messages = (("system", system), ("user", user))
     schema = answer_type.model_json_schema() if schema is None else schema
@@ -61,7 +74,7 @@ def ask(
         reply = metered.model.complete(request)
         text = without_thought(reply.text)
         answer, fault = read_answer(text, answer_type)
-        if answer is None and not text:  # some servers leave the answer where the thinking is
+        if answer is None and not text:  # some servers put the answer with the reasoning
             answer, _ = read_answer(reply.reasoning or reply.text, answer_type)
         if answer is None and reply.finish == CUT_SHORT:
             fault = f"It was cut at the token limit; answer in fewer words. {fault}"
@@ -92,10 +105,17 @@ def ask_many(
     re_asks: int = 1,
     schema: Mapping[str, Any] | None = None,
 ) -> list[T]:
-    """Ask one question ``samples`` times in parallel; the answers are in the order of their sample numbers.
+    """Ask one question several times in parallel. The other arguments are those of ``ask``.
 
-    Failed samples are left out and counted as dropped. Raises BudgetError if the budget ended during a sample, and the
-    first ModelError if all samples failed.
+    Args:
+        samples: The number of times.
+
+    Returns:
+        The answers, in the order of their sample numbers. Failed samples are left out and counted as dropped.
+
+    Raises:
+        BudgetError: The budget was used up during a sample.
+        ModelError: All samples failed; this is the first failure.
     """
     ask_once = partial(ask, metered, agent, system, user, answer_type, check=check, re_asks=re_asks, schema=schema)
     waiting = [run_in_thread(partial(ask_once, sample=k)) for k in range(samples)]
@@ -116,10 +136,17 @@ def ask_many(
 
 
 def read_answer(text: str, answer_type: type[T]) -> tuple[T | None, str | None]:
-    """The answer in ``text`` and None, or None and the fault.
+    """Read an answer from a model's text.
 
-    The answer is the first JSON object of that type: the whole text, then fenced blocks, then objects in prose. Among
-    fenced blocks and among objects in prose the last has precedence.
+    The answer is the first JSON object of the given type. The whole text is tried first, then fenced blocks, then
+    objects in prose. Fenced blocks are tried from the last to the first, and so are objects in prose.
+
+    Args:
+        text: The model's text.
+        answer_type: The type of the answer.
+
+    Returns:
+        The answer and None, or None and the fault.
     """
     decoder = json.JSONDecoder(parse_constant=_reject_constant)
     in_prose, fault = _objects_in_prose(text, decoder)
@@ -140,7 +167,7 @@ def _whole(parts: Iterable[str], decoder: json.JSONDecoder) -> Iterator[Any]:
 
 
 def _objects_in_prose(text: str, decoder: json.JSONDecoder) -> tuple[list[Any], str | None]:
-    """The JSON objects between other words, and the fault of the first object that cannot be read."""
+    """Find the JSON objects in prose, and the fault of the first object that cannot be read."""
     objects: list[Any] = []
     fault: str | None = None
     at = 0

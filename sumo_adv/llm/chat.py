@@ -1,5 +1,4 @@
-"""What all parts of this package share: a request to a language model, its reply, the protocol of a model, and the
-budget of a run for models with the count of what it has spent."""
+"""The shared parts of this package: requests and replies, the protocol of a model, and a run's budget and ledger."""
 
 from __future__ import annotations
 
@@ -31,9 +30,12 @@ LEDGER_COUNTS = (
 class ChatRequest:
     """One question to a model.
 
-    messages: (role, content) pairs.
-    schema: JSON schema of the answer, None for free text; ``schema_name`` is its name.
-    sample: number that tells repeated questions apart.
+    Attributes:
+        agent: The agent that asks.
+        messages: Pairs (role, content).
+        schema: The JSON schema of the answer; None for free text.
+        schema_name: The name of the schema.
+        sample: A number that distinguishes repeated questions.
     """
 
     agent: str
@@ -47,11 +49,16 @@ class ChatRequest:
 class ChatReply:
     """One answer of a model.
 
-    reasoning: kept in recordings and never sent back.
-    prompt_tokens, completion_tokens: estimates if the server does not count them.
-    seconds: duration of the question with all its retries [s], rounded to ms.
-    mode: how the schema was sent: json_schema, json_object or text.
-    finish: the server's finish_reason, "" if it gives none; ``CUT_SHORT`` is the token limit.
+    Attributes:
+        text: The answer.
+        reasoning: The model's reasoning. It is kept in recordings and never sent back.
+        prompt_tokens: The number of tokens of the question; an estimate if the server does not count them.
+        completion_tokens: The number of tokens of the answer; an estimate if the server does not count them.
+        cached_tokens: The number of the question's tokens that the server had cached.
+        seconds: The duration of the question with all its retries [s], rounded to ms.
+        retries: The number of retries.
+        mode: How the schema was sent: json_schema, json_object or text.
+        finish: The server's finish_reason, or "" if it gives none. ``CUT_SHORT`` means the token limit.
     """
 
     text: str
@@ -74,28 +81,45 @@ class ChatModel(Protocol):
         ...
 
     def complete(self, request: ChatRequest) -> ChatReply:
-        """The model's reply. Raises ModelError, BudgetError."""
+        """Answer a question.
+
+        Raises:
+            ModelError: The model failed.
+            BudgetError: The run's budget is used up.
+        """
         ...
 
 
 def estimate_tokens(messages: Sequence[tuple[str, str]]) -> int:
-    """Rough number of tokens of messages: a quarter of their characters, rounded up."""
+    """Estimate the number of tokens of messages (role, content): a quarter of their characters, rounded up."""
     return -(-sum(len(content) for _, content in messages) // CHARACTERS_PER_TOKEN)
 
 
 def without_thought(text: str) -> str:
-    """A model's text without <think> parts. The opening tag may be missing; without a closing one all is thought."""
+    """Remove the <think> parts from a model's text.
+
+    The opening tag may be missing. If the text begins with an opening tag and has no closing tag, nothing is left.
+    """
     text = _END_OF_THOUGHT.split(_THOUGHT.sub("", text))[-1]
     return "" if _UNENDED_THOUGHT.match(text) else text.strip()
 
 
 def one_line(text: str) -> str:
-    """A text on one line: control characters become spaces, and every run of spaces becomes one space."""
+    """Put a text on one line. Control characters become spaces, and every run of spaces becomes one space."""
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 def run_in_thread(work: Callable[[], T]) -> Future[T]:
-    """Run ``work`` in a daemon thread. Ctrl-C interrupts the wait for its result, and the program can end before it."""
+    """Run a function in a daemon thread.
+
+    Ctrl-C interrupts the wait for the result, and the program can end before the function does.
+
+    Args:
+        work: The function.
+
+    Returns:
+        The future of its result.
+    """
     future: Future[T] = Future()
 
     def run() -> None:
@@ -110,7 +134,13 @@ def run_in_thread(work: Callable[[], T]) -> Future[T]:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Limits of one run, None for no limit. ``seconds``: sum of the durations of questions, parallel ones included."""
+    """The limits of one run. None means no limit.
+
+    Attributes:
+        calls: The number of calls.
+        tokens: The number of tokens.
+        seconds: The sum of the durations of all questions, including parallel ones [s].
+    """
 
     calls: int | None = None
     tokens: int | None = None
@@ -118,13 +148,22 @@ class Budget:
 
 
 class Ledger:
-    """Counts calls, tokens, time, retries, re-asks and dropped answers per agent. Can be used from several threads.
+    """Counts calls, tokens, time, retries, re-asks and dropped answers per agent. It can be used from several threads.
 
     Durations are summed in whole milliseconds, so the sum does not depend on the order of parallel answers.
-    ``waited``: time [s] by ``clock`` during which at least one question was open. A replay adds almost none.
+
+    Attributes:
+        budget: The limits of the run.
+        waited: The time during which at least one question was open [s]. A replay adds almost none.
     """
 
     def __init__(self, budget: Budget | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
+        """Begin with zero counts.
+
+        Args:
+            budget: The limits of the run; None means no limits.
+            clock: Returns the time [s] by which waiting is measured.
+        """
         self.budget = budget or Budget()
         self.waited = 0.0
         self._clock, self._open, self._since = clock, 0, 0.0
@@ -133,12 +172,12 @@ class Ledger:
 
     @classmethod
     def for_settings(cls, settings: ModelSettings) -> Ledger:
-        """An empty ledger with the budget of the settings."""
+        """Make an empty ledger with the budget of the settings."""
         return cls(Budget(settings.llm_max_calls, settings.llm_max_tokens, settings.llm_max_seconds))
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """A context that lasts while a question is open."""
+        """Count the time in this context as waiting for an open question."""
         with self._lock:
             self._since = self._since if self._open else self._clock()
             self._open += 1
@@ -150,12 +189,16 @@ class Ledger:
                 self.waited += 0.0 if self._open else self._clock() - self._since
 
     def waited_so_far(self) -> float:
-        """``waited``, and the time of the questions that are open now [s]."""
+        """Return ``waited`` plus the time of the questions that are open now [s]."""
         with self._lock:
             return self.waited + (self._clock() - self._since if self._open else 0.0)
 
     def admit(self, request: ChatRequest) -> None:
-        """Count a call. Raises BudgetError if the call would exceed the budget; its tokens are estimated."""
+        """Count a call before it is made.
+
+        Raises:
+            BudgetError: The call would exceed the budget, by an estimate of its tokens.
+        """
         estimate = estimate_tokens(request.messages)
         with self._lock:
             spent, allowed = self._totals(), self.budget
@@ -183,20 +226,25 @@ class Ledger:
             self._add(agent, "milliseconds", round(1000 * answer.seconds))
 
     def count_one(self, agent: str, name: str) -> None:
-        """Count a question that is repeated because its answer was unusable (``re_asks``), or a sample without a usable
-        answer (``dropped``)."""
+        """Count one event of an agent.
+
+        Args:
+            agent: The agent.
+            name: ``re_asks`` for a question that is repeated because its answer was unusable, or ``dropped`` for a
+                sample without a usable answer.
+        """
         with self._lock:
             self._add(agent, name, 1)
 
     def seconds_left(self) -> float | None:
-        """The rest of the time budget [s], None for no limit."""
+        """Return the remaining time budget [s], or None if there is no limit."""
         with self._lock:
             if self.budget.seconds is None:
                 return None
             return max(0.0, self.budget.seconds - self._totals()["milliseconds"] / 1000)
 
     def as_dict(self) -> dict[str, Any]:
-        """Totals, and under ``agents`` the same per agent; seconds are rounded to ms."""
+        """Return the totals and, under ``agents``, the same counts per agent. Seconds are rounded to ms."""
         with self._lock:
             agents = {agent: _with_seconds(counts) for agent, counts in sorted(self._agents.items())}
             return {**_with_seconds(self._totals()), "agents": agents}
@@ -216,7 +264,7 @@ def _with_seconds(counts: dict[str, int]) -> dict[str, Any]:
 
 
 class BudgetedModel:
-    """A model with a ledger, which checks the budget before each question and counts the cost after it."""
+    """A model with a ledger. It checks the budget before each question and counts the cost after it."""
 
     def __init__(self, model: ChatModel, ledger: Ledger) -> None:
         self._model = model
@@ -224,7 +272,12 @@ class BudgetedModel:
         self.name = model.name
 
     def complete(self, request: ChatRequest) -> ChatReply:
-        """The model's reply. Raises ModelError, and BudgetError before a call that would exceed the budget."""
+        """Answer a question.
+
+        Raises:
+            ModelError: The model failed.
+            BudgetError: The call would exceed the budget.
+        """
         self._ledger.admit(request)
         try:
             with self._ledger.waiting():

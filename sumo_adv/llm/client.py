@@ -1,4 +1,4 @@
-"""Chat models of any OpenAI-compatible server, and which server a model's name stands for."""
+"""Chat models of any OpenAI-compatible server, and the server that belongs to a model's name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,14 @@ MODES: tuple[str, ...] = get_args(ResponseFormat)
 
 @dataclass(frozen=True, slots=True)
 class Server:
-    """The server of ``model``. ``key`` is None for a server without one; ``mode`` is the first of ``MODES`` to try."""
+    """The server of a model.
+
+    Attributes:
+        model: The name of the model on the server.
+        base_url: The server's address.
+        key: The key; None if the server needs none.
+        mode: The first of ``MODES`` to try.
+    """
 
     model: str
     base_url: str
@@ -52,10 +59,18 @@ LOCAL_SERVERS = {
 
 
 def find_server(name: str, settings: ModelSettings, environment: Mapping[str, str]) -> Server:
-    """The server of a model's name.
+    """Find the server of a model.
 
     The base URL of the settings has precedence over the built-in ones. A provider's own key variable is read only for
-    the provider's own address. Raises UsageError, which names the missing setting.
+    the provider's own address.
+
+    Args:
+        name: The name of the model, with the prefix of a local server if there is one.
+        settings: The settings.
+        environment: The environment variables.
+
+    Raises:
+        UsageError: A setting is missing; the message names it.
     """
     for prefix, base_url in LOCAL_SERVERS.items():
         if name.startswith(prefix):
@@ -88,9 +103,17 @@ def open_model(
     clock: Clock | None = None,
     environment: Mapping[str, str] = os.environ,
 ) -> ChatModel:
-    """The model of that name, or the recording for ``replay:FILE``; ``ledger`` counts its questions and limits them.
+    """Open a model or, for ``replay:FILE``, a recording. This sends nothing yet.
 
-    Sends nothing yet. Raises UsageError.
+    Args:
+        name: The name of the model.
+        settings: The settings.
+        ledger: Counts the model's questions and limits them.
+        clock: The clock for waits and deadlines.
+        environment: The environment variables.
+
+    Raises:
+        UsageError: A setting is missing, or the recording cannot be used.
     """
     if name.startswith(REPLAY):
         return BudgetedModel(Replay.open(name.removeprefix(REPLAY)), ledger)
@@ -99,11 +122,22 @@ def open_model(
 
 
 class HttpModel:
-    """A chat model behind HTTP. It remembers what the server supports: of ``MODES`` (from that of the settings on), of
-    ``wire.TOKEN_LIMITS``, and, if the model thinks too long, of ``wire.LESS_THINKING``.
+    """A chat model behind HTTP.
+
+    It remembers what the server supports of ``MODES`` (from the mode of the settings on) and of ``wire.TOKEN_LIMITS``.
+    If the model thinks too long, it also remembers what helps of ``wire.LESS_THINKING``.
     """
 
     def __init__(self, name: str, server: Server, settings: ModelSettings, ledger: Ledger, clock: Clock) -> None:
+        """Prepare the connection without sending anything.
+
+        Args:
+            name: The name of the model in messages and files.
+            server: The server.
+            settings: The settings.
+            ledger: The run's ledger, which limits the time of a question.
+            clock: The clock for waits and deadlines.
+        """
         self.name = name
         self._model = server.model
         self._temperature = settings.llm_temperature
@@ -112,15 +146,19 @@ class HttpModel:
         self._modes = MODES[MODES.index(settings.llm_response_format or server.mode) :]
         self._limits: tuple[str, ...] = wire.TOKEN_LIMITS
         self._less_thinking: Mapping[str, Any] = {}
-        self._ways = wire.LESS_THINKING  # that are not tried yet
+        self._ways = wire.LESS_THINKING  # ways that are not tried yet
         self._connection = ServerConnection(name, server.base_url, server.key, settings, clock)
 
     def complete(self, request: ChatRequest) -> ChatReply:
-        """The model's reply. A rejected schema is sent again in the next of ``MODES``.
+        """Answer a question.
 
-        A model that only thinks until it is cut off is asked again for less thinking, in one way of
-        ``wire.LESS_THINKING`` after another, once in a run; the first that helps is kept. Tokens of all tries are
-        summed. Raises ModelError, and BudgetError if the run's time ends during the question.
+        If the server rejects the schema, it is sent again in the next of ``MODES``. If the model only thinks and gives
+        no answer, the question is repeated with a request for less thinking. The ways of ``wire.LESS_THINKING`` are
+        tried in order, once in a run, and the first that helps is kept. The tokens of all tries are summed.
+
+        Raises:
+            ModelError: The server or the model failed.
+            BudgetError: The run's time ended during the question.
         """
         with Question(self._connection, self._ledger.seconds_left()) as question:
             reply = self._in_a_mode(question, request, self._less_thinking)
@@ -149,10 +187,14 @@ class HttpModel:
     def _in_a_mode(
         self, question: Question, request: ChatRequest, fields: Mapping[str, Any], *, or_none: bool = False
     ) -> ChatReply | None:
-        """The reply in the first mode, with the first name of the token limit, that the server accepts.
+        """Send the question in the first mode, and with the first name of the token limit, that the server accepts.
 
-        or_none: try only the first of each, which has worked, and return None if ``fields`` are refused; else raise
-        ModelError.
+        Args:
+            question: The open question.
+            request: The request.
+            fields: Additional fields of the body.
+            or_none: If true, try only the first mode and name, which have worked before, and return None if the server
+                refuses ``fields``. If false, a refusal raises ModelError.
         """
         modes = self._modes if request.schema is not None else MODES[-1:]
         limits: Sequence[str | None] = (None,) if self._answer_tokens is None else self._limits
@@ -174,6 +216,9 @@ class HttpModel:
 
 
 def only_thought(reply: ChatReply) -> bool:
-    """Whether the model thought and gave no answer: its thinking was cut off, or holds no JSON object."""
+    """Return whether the model thought and gave no answer.
+
+    This is so if the text holds no answer, and the thinking was cut off or contains no JSON object.
+    """
     thought = reply.reasoning or reply.text
     return not without_thought(reply.text) and bool(thought) and (reply.finish == CUT_SHORT or "{" not in thought)

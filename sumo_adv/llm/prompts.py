@@ -1,8 +1,8 @@
-"""The prompts: versioned files in the folder ``prompts/`` with variables.
+"""The prompts: versioned files with variables in the folder ``prompts/``.
 
 A file begins with ``version: N``. The lines ``=== system`` and ``=== user`` begin its two parts. A file without these
-lines is a piece of other prompts, or has a sentence a line (``key: sentence``). ``$name`` is a variable. A missing or
-unknown variable is an error.
+lines is a piece of other prompts, or has one sentence per line (``key: sentence``). ``$name`` is a variable. A missing
+or unknown variable is an error.
 """
 
 from __future__ import annotations
@@ -41,22 +41,37 @@ class Prompt:
 
 
 def sanitize(text: str) -> str:
-    """A text from a bank, a file or a person as one line without control characters and fences, cut to
-    ``MAX_PROMPT_TEXT_CHARACTERS``."""
+    """Make a text from a bank, a file or a person safe for a prompt.
+
+    Returns:
+        The text as one line without control characters and fences, cut to ``MAX_PROMPT_TEXT_CHARACTERS``.
+    """
     return one_line(text).replace("```", "'''")[:MAX_PROMPT_TEXT_CHARACTERS]
 
 
 def fenced(text: str) -> str:
-    """A person's words as they stand in a prompt: no mark in them can end the part that is theirs."""
+    """Change the marks in a person's text so that none can end the part of the prompt that contains the text."""
     return text.replace("<<<", "<").replace(">>>", ">").replace("```", "'''")
 
 
 class Prompts:
-    """All prompt files of a folder. Raises UsageError if a file is missing, has no version or lacks a part."""
+    """All prompt files of a folder.
+
+    Attributes:
+        versions: The version and SHA-256 of each file, for the manifest.
+    """
 
     def __init__(self, folder: Path) -> None:
+        """Read the files.
+
+        Args:
+            folder: The folder of the files.
+
+        Raises:
+            UsageError: A file is missing, has no version or lacks a part.
+        """
         self._parts: dict[str, tuple[str, str]] = {}
-        self.versions: dict[str, dict[str, str]] = {}  # version and SHA-256 of each file, for the manifest
+        self.versions: dict[str, dict[str, str]] = {}
         for name in PROMPT_NAMES:
             file = folder / f"{name}.md"
             try:
@@ -71,20 +86,32 @@ class Prompts:
             self._parts[name] = _split(file, body)
 
     def piece(self, name: str, **variables: str) -> str:
-        """A file without parts, with its variables filled in."""
+        """Fill in the variables of a file without parts.
+
+        Raises:
+            KeyError: A variable is missing or unknown.
+        """
         return _filled(name, self._parts[name][0], variables, set(variables))
 
     def phrases(self, name: str) -> Mapping[str, str]:
-        """The sentences of a file that has one a line, ``key: sentence``, by their keys."""
+        """Return the sentences of a file with lines ``key: sentence``, by their keys."""
         lines = self._parts[name][0].splitlines()
         return {key: sentence for key, colon, sentence in (line.partition(": ") for line in lines) if colon}
 
     def phrase(self, name: str, key: str, **variables: str) -> str:
-        """A sentence of such a file, with its variables filled in. Raises KeyError as ``render`` does."""
+        """Fill in the variables of one sentence of a file with lines ``key: sentence``.
+
+        Raises:
+            KeyError: A variable is missing or unknown, or there is no such sentence.
+        """
         return _filled(f"{name}: {key}", self.phrases(name)[key], variables, set(variables))
 
     def render(self, name: str, **variables: str) -> Prompt:
-        """A file with its variables filled in. Raises KeyError for a missing or unknown variable."""
+        """Fill in the variables of both parts of a file.
+
+        Raises:
+            KeyError: A variable is missing or unknown.
+        """
         system, user = self._parts[name]
         return Prompt(name, *(_filled(name, part, variables, _used(system) | _used(user)) for part in (system, user)))
 
@@ -114,7 +141,7 @@ def _filled(name: str, text: str, variables: Mapping[str, str], allowed: set[str
 
 
 def danger_words(prompts: Prompts) -> str:
-    """The rules by which a danger shows, and when the reference drivers then act."""
+    """Explain by which rules a danger shows and when the reference drivers then act, with the program's values."""
     numbers = {
         "perception": cc_human.PERCEPTION_S, "drift": cc_human.WANDERING_M, "reach": cc_human.DANGER_TTC_S,
         "hard": cc_human.LEADER_HARD_BRAKING_M_S2, "following": cc_human.FOLLOWING_HEADWAY_S,

@@ -1,6 +1,6 @@
-"""Recordings: a file with the exchanges of a run and its models, and a model that answers from such a file.
+"""Recordings: files with the exchanges between a run and its models, and a model that answers from such a file.
 
-The file holds one JSON object per line. The first line is a header (schema, model, note). Every other line holds a
+A file holds one JSON object per line. The first line is a header (schema, model, note). Every other line holds a
 request, and the reply or the error.
 """
 
@@ -25,10 +25,19 @@ DIFFERENCE_CONTEXT = 30  # characters shown on both sides of the first differenc
 
 
 class Recorder:
-    """A recording that is being written. ``wrap`` a model to record its exchanges. Use it in a ``with`` statement."""
+    """A recording that is being written. Use it in a ``with`` statement. ``wrap`` a model to record its exchanges."""
 
     def __init__(self, path: Path, model: str, *, note: str = "") -> None:
-        """Write the header. ``note``: origin of the answers. Raises ModelError if the file cannot be written."""
+        """Open the file and write the header.
+
+        Args:
+            path: The file.
+            model: The name of the model.
+            note: The origin of the answers.
+
+        Raises:
+            ModelError: The file cannot be written.
+        """
         self._path = path
         self._lock = threading.Lock()
         header = {"kind": KIND, "schema": RECORDING_SCHEMA, "model": model.removeprefix(REPLAYED_PREFIX), "note": note}
@@ -50,14 +59,18 @@ class Recorder:
             self._file.close()
 
     def wrap(self, model: ChatModel) -> ChatModel:
-        """A model that answers like ``model`` and records the exchanges."""
+        """Return a model that answers like ``model`` and records the exchanges."""
         return _RecordedModel(model, self)
 
     def add(self, request: ChatRequest, answer: ChatReply | ModelError) -> None:
-        """Write one exchange and flush. After ``close`` nothing is written. Raises ModelError."""
+        """Write one exchange and flush. After ``close``, this does nothing.
+
+        Raises:
+            ModelError: The file cannot be written.
+        """
         question = {
             "agent": request.agent, "sample": request.sample, "messages": [list(m) for m in request.messages],
-            "shape": request.schema_name, "temperature": None,  # that of the settings
+            "shape": request.schema_name, "temperature": None,  # None means the temperature of the settings
         }  # fmt: skip
         if isinstance(answer, ModelError):
             kind = "budget" if isinstance(answer, BudgetError) else "model"
@@ -102,7 +115,15 @@ class _RecordedModel:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """One line of a recording. ``place``: the line, and the file if there are several."""
+    """One exchange of a recording.
+
+    Attributes:
+        place: The line and, if there are several files, the file.
+        agent: The agent that asked.
+        sample: The number that distinguishes repeated questions.
+        messages: Pairs (role, content).
+        answer: The reply or the error.
+    """
 
     place: str
     agent: str
@@ -112,21 +133,29 @@ class Exchange:
 
     @property
     def key(self) -> str:
+        """The key of the question; see ``question_key``."""
         return question_key(self.agent, self.messages, self.sample)
 
 
 def question_key(agent: str, messages: Messages, sample: int) -> str:
-    """SHA-256 of a question's content, by which ``Replay`` looks it up."""
+    """Return the SHA-256 of a question's content, by which ``Replay`` looks it up."""
     return hashlib.sha256(json.dumps([agent, sample, [list(m) for m in messages]]).encode()).hexdigest()
 
 
 class Replay:
     """A model that answers from a recording.
 
-    It looks a question up by its content. A repeated question gets its answers in the recorded order.
+    It looks up a question by its content. A repeated question gets its answers in the recorded order.
     """
 
     def __init__(self, path: Path, model: str, exchanges: Sequence[Exchange]) -> None:
+        """Index the exchanges.
+
+        Args:
+            path: The recording, for messages.
+            model: The name of the recorded model.
+            exchanges: The recorded exchanges.
+        """
         self.name = REPLAYED_PREFIX + model
         self._path = path
         self._exchanges = tuple(exchanges)
@@ -138,8 +167,11 @@ class Replay:
 
     @classmethod
     def open(cls, path: Path | str) -> Replay:
-        """Read a recording, or all recordings (``*.jsonl``) of a folder. An incomplete last line is ignored. Raises
-        UsageError."""
+        """Read a recording, or all recordings (``*.jsonl``) of a folder. An incomplete last line is ignored.
+
+        Raises:
+            UsageError: A file is not a recording, or the folder has none.
+        """
         path = Path(path)
         if not path.is_dir():
             return cls(path, *_read(path, ""))
@@ -150,7 +182,11 @@ class Replay:
         return cls(path, " and ".join(models), [exchange for _, exchanges in recordings for exchange in exchanges])
 
     def complete(self, request: ChatRequest) -> ChatReply:
-        """The recorded reply. Raises the recorded ModelError, and ModelError for a question that is not recorded."""
+        """Return the recorded reply.
+
+        Raises:
+            ModelError: The recorded answer is an error, or the question is not recorded.
+        """
         key = question_key(request.agent, request.messages, request.sample)
         with self._lock:
             turn = self._times.get(key, 0)
@@ -188,7 +224,7 @@ class Replay:
 
 
 def _read(path: Path, of_file: str) -> tuple[str, list[Exchange]]:
-    """The model and the exchanges of a file. ``of_file``: what the place of each has behind its line."""
+    """Read the model and the exchanges of a file. ``of_file`` follows the line in the place of each exchange."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -248,5 +284,5 @@ def _text(messages: Messages) -> str:
 
 
 def _common_prefix(a: str, b: str) -> int:
-    """Length of the common prefix of two texts."""
+    """Return the length of the common prefix of two texts."""
     return next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))

@@ -1,4 +1,7 @@
-"""Whether the server of a model can be used: its list of models, then one question as long as a run's longest ones."""
+"""Check whether the server of a model can be used.
+
+The check asks for the list of models, and then one question that is as long as a run's longest ones.
+"""
 
 from __future__ import annotations
 
@@ -14,24 +17,24 @@ from sumo_adv.llm.transport import Clock, ServerConnection
 from sumo_adv.llm.wire import quoted_reply
 
 PROBE_QUESTION_TOKENS = 8_000  # the longest question of the shipped recordings has 7,600
-MIN_CONTEXT_TOKENS = 11_000  # with the longest answer, of 3,000
+MIN_CONTEXT_TOKENS = 11_000  # for the longest question, and the longest answer of 3,000 tokens
 PROBE_ANSWER_TOKENS = 2
 LIST_TIMEOUT_S = 10.0
 ONE_TOKEN_WORD = "road "  # one token of most models
 CONTEXT_KEYS = ("max_model_len", "context_length", "loaded_context_length", "context_window", "n_ctx")
-"""Where servers say the context of a model: vLLM and SGLang, OpenRouter, LM Studio, Groq, llama.cpp."""
-KEY_REFUSED_STATUSES = (401, 403)  # status for a wrong key
+"""Keys with which servers report a model's context: vLLM and SGLang, OpenRouter, LM Studio, Groq, llama.cpp."""
+KEY_REFUSED_STATUSES = (401, 403)  # statuses for a wrong key
 CUT_QUESTION_TOKENS = (1_000, 6_000)  # counts of a server that cut the question; smaller ones count something else
 
 
 @dataclass(frozen=True, slots=True)
 class ServerCheck:
-    """What a server has shown.
+    """The result of a server's check.
 
     Attributes:
-        listed: names of its models; empty if it gives no list.
-        context: its context for the model [tokens]; None if it does not say.
-        mode: how it took the schema: json_schema, json_object or text.
+        listed: The names of its models; empty if it gives no list.
+        context: Its context for the model [tokens]; None if it does not report one.
+        mode: How it accepted the schema: json_schema, json_object or text.
     """
 
     listed: tuple[str, ...]
@@ -40,10 +43,19 @@ class ServerCheck:
 
 
 def check_server(name: str, server: Server, settings: ModelSettings, schema: Mapping[str, Any]) -> ServerCheck:
-    """Ask a server for its models, and then one question with ``schema`` and an answer of ``PROBE_ANSWER_TOKENS``.
+    """Ask a server for its models, and then one question with an answer of at most ``PROBE_ANSWER_TOKENS``.
 
-    The question is short where the server says that its context is long enough. Raises ModelError, which says what is
-    wrong: the key, the context, the model, or the server.
+    The question is short if the server reports a context that is long enough.
+
+    Args:
+        name: The name of the model in messages.
+        server: The server.
+        settings: The settings.
+        schema: The JSON schema of the answer.
+
+    Raises:
+        ModelError: The server cannot be used. The message names the fault: the key, the context, the model, or the
+            server.
     """
     status, listing = ServerConnection(name, server.base_url, server.key, settings, Clock()).models(LIST_TIMEOUT_S)
     if status in KEY_REFUSED_STATUSES:
@@ -80,7 +92,7 @@ def _entries(listing: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
 
 
 def _context(entries: list[Mapping[str, Any]], model: str) -> int | None:
-    """What the entry of the model says; that of the only one, whatever its name is."""
+    """Read the context from the model's entry. A single entry counts as the model's, whatever its name."""
     of_model = [e for e in entries if e["id"] == model] or (entries if len(entries) == 1 else [])
     for entry in of_model:
         meta = entry.get("meta")

@@ -1,9 +1,9 @@
 """HTTP requests to one model server: deadline, retries, and the messages of failures.
 
-One deadline holds for a question with all its retries. It is kept by a clock of this module, so a server that hangs or
-sends a byte at a time is cut off too. Errors that may pass (``wire.py``) are retried ``llm_retries`` times after a
-random wait. The wait doubles from retry to retry and is never shorter than the server's ``Retry-After``. A server that
-drops connections, has gone after it was reached, or is loading its model is asked until the deadline.
+One deadline applies to a question with all its retries. This module's own clock enforces it, so a server that hangs or
+sends one byte at a time is cut off as well. Temporary errors (``wire.py``) are retried ``llm_retries`` times after a
+random wait. The wait doubles with each retry and is never shorter than the server's ``Retry-After``. If a server drops
+connections, has gone away after it was reached, or is loading its model, the question is repeated until the deadline.
 """
 
 from __future__ import annotations
@@ -32,25 +32,28 @@ from sumo_adv.llm.chat import run_in_thread
 from sumo_adv.llm.wire import TRY_LATER, ServerFault, fault_of
 
 KEY_BLANK = "***"
-MAX_BACKSLASHES = 8  # before one character: JSON in JSON in JSON has 7
+MAX_BACKSLASHES = 8  # before one character; JSON in JSON in JSON has 7
 
 Blanker = Callable[[str], str]
 MAX_ANSWER_BYTES = 2_000_000
-FIRST_RETRY_WAIT_S = 0.5  # before the first retry
+FIRST_RETRY_WAIT_S = 0.5  # wait before the first retry
 NO_ADDRESS = re.compile(r"(?i)(unexpected|unknown|invalid|no such) (endpoint|url|route|path)")
-"""In an error with status 200 of a server that does not know the address (LM Studio)."""
-MAX_RETRY_WAIT_S = 8.0  # unless the server asks for more
-MAX_WAIT_DOUBLINGS = 4  # of FIRST_RETRY_WAIT_S: to MAX_RETRY_WAIT_S
-_DROPPED = re.compile(r"disconnected|closed connection")  # what httpx says where a server ends a connection
+"""The text of an error with status 200 from a server that does not know the address (LM Studio)."""
+MAX_RETRY_WAIT_S = 8.0  # longest wait, unless the server asks for more
+MAX_WAIT_DOUBLINGS = 4  # from FIRST_RETRY_WAIT_S to MAX_RETRY_WAIT_S
+_DROPPED = re.compile(r"disconnected|closed connection")  # httpx's text if a server ends a connection
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # reached without a proxy
 T = TypeVar("T")
 
 
 def blanker(key: str | None) -> Blanker:
-    """A function that returns a text with ``KEY_BLANK`` wherever the key is.
+    """Return a function that replaces the key in a text with ``KEY_BLANK``.
 
-    The key is found as it is, and with any of its characters as an escape of JSON, Python, URLs or HTML. Call it before
-    a text is cut, and again on what is decoded from it.
+    The function finds the key in plain form, and with any of its characters escaped as in JSON, Python, URLs or HTML.
+    Apply it before a text is cut, and again to every text that is decoded from it.
+
+    Args:
+        key: The key; if there is none, the function returns texts unchanged.
     """
     if not key:
         return lambda text: text
@@ -69,7 +72,7 @@ def _spellings(character: str) -> str:
 
 
 def decoded(body: bytes) -> str:
-    """The text of a body in UTF-8, UTF-16 or UTF-32, as JSON tells them apart; what cannot be read is replaced."""
+    """Decode a body in UTF-8, UTF-16 or UTF-32, which are detected as in JSON. Invalid bytes are replaced."""
     return body.decode(json.detect_encoding(body), "replace")
 
 
@@ -77,17 +80,17 @@ class Clock:
     """The computer's clock, for waits and deadlines [s]."""
 
     def now(self) -> float:
-        """A time that only grows."""
+        """Return the time of a monotonic clock [s]."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for some seconds."""
         time.sleep(seconds)
 
 
 @dataclass(frozen=True, slots=True)
 class _Response:
-    """An answer without the key in its body."""
+    """A server's answer, with the key blanked out in its body."""
 
     status: int
     headers: Mapping[str, str]
@@ -96,8 +99,14 @@ class _Response:
 
 @dataclass(frozen=True, slots=True)
 class _Failure:
-    """A try that may be repeated: its reason, the shortest wait [s] before the next try, what the user can do, and
-    whether it is repeated until the deadline however often it fails."""
+    """A failed try that may be repeated.
+
+    Attributes:
+        reason: Why it failed.
+        wait: The shortest wait before the next try [s].
+        advice: What the user can do.
+        until_deadline: Whether it is repeated until the deadline, regardless of the number of tries.
+    """
 
     reason: str
     wait: float = 0.0
@@ -117,7 +126,15 @@ class ServerConnection:
     """One server: its address, its key, and the limit on questions that are open at the same time."""
 
     def __init__(self, model: str, base_url: str, key: SecretStr | None, settings: ModelSettings, clock: Clock) -> None:
-        """``model``: the name that messages call the model by."""
+        """Prepare the connection without sending anything.
+
+        Args:
+            model: The name of the model in messages.
+            base_url: The server's address.
+            key: The key, or None.
+            settings: The settings.
+            clock: The clock for waits and deadlines.
+        """
         self.model = model
         self.settings = settings
         self.clock = clock
@@ -129,21 +146,38 @@ class ServerConnection:
         versioned = re.search(r"/v\d", urlsplit(base_url).path) is not None
         longer = f"set SUMO_ADV_LLM_BASE_URL to {base_url}/v1, where most servers answer"
         self.address_advice = "" if versioned else longer
-        """What to do about an address without a version at which no questions are answered; empty if it has one."""
+        """Advice for an address that answers no questions and has no version; empty if the address has one."""
         self._use_proxy = urlsplit(base_url).hostname not in LOCAL_HOSTS
         self._key = key.get_secret_value() if key is not None else None
         self.blank = blanker(self._key)  # apply it to every text of the server before it is cut, shown or kept
 
     def send(self, body: bytes, seconds: float) -> _Response:
-        """POST ``body`` and read the whole answer within ``seconds``; the key is blanked out in it.
+        """POST a question and read the whole answer, with the key blanked out.
 
-        Raises TimeoutError, httpx.HTTPError, _TooLarge, _Compressed.
+        Args:
+            body: The body of the request.
+            seconds: The time for the whole exchange [s].
+
+        Raises:
+            TimeoutError: The exchange took longer.
+            httpx.HTTPError: The exchange failed.
+            _TooLarge: The answer is too large.
+            _Compressed: The answer is compressed.
         """
         return self._within(seconds, self._exchange("POST", "chat/completions", body))
 
     def models(self, seconds: float) -> tuple[int, Mapping[str, Any] | None]:
-        """The status and the JSON object of GET ``models``, None if it is none. Raises ModelError, where the server
-        does not answer within ``seconds``."""
+        """GET the list of models.
+
+        Args:
+            seconds: The time for the whole exchange [s].
+
+        Returns:
+            The status, and the JSON object of the answer or None if it is not one.
+
+        Raises:
+            ModelError: The server gives no usable answer in time.
+        """
         try:
             answer = self._within(seconds, self._exchange("GET", "models", None))
         except (TimeoutError, httpx.TimeoutException) as error:
@@ -179,17 +213,24 @@ class ServerConnection:
             return _Response(response.status_code, dict(response.headers), self.blank(decoded(b"".join(parts))))
 
     def quoted(self, text: str) -> str:
-        """A text of the server for a message, without the key."""
+        """Shorten a text of the server for a message, and blank out the key."""
         return wire.quoted_reply(self.blank(text))
 
 
 class Question:
-    """One question to a server with all its retries. As a context manager it holds one of the server's slots.
+    """One question to a server with all its retries. It is a context manager that holds one of the server's slots.
 
-    ``seconds_left``: the rest of the run's time for models [s], None for no limit.
+    Attributes:
+        retries: The number of retries so far.
     """
 
     def __init__(self, server: ServerConnection, seconds_left: float | None) -> None:
+        """Set the time of the question.
+
+        Args:
+            server: The server.
+            seconds_left: The run's remaining time for models [s], or None if there is no limit.
+        """
         self._server = server
         allowed = server.settings.llm_question_seconds
         self._limited_by_budget = seconds_left is not None and seconds_left < allowed
@@ -205,15 +246,25 @@ class Question:
         self._server.slots.release()
 
     def seconds(self) -> float:
-        """Time since the question began [s], rounded to ms."""
+        """Return the time since the question began [s], rounded to ms."""
         return round(self._server.clock.now() - self._began, 3)
 
     def post(
         self, body: Mapping[str, Any], read: Callable[[Mapping[str, Any]], T], *, none_if_rejected: bool = False
     ) -> T | None:
-        """Send ``body`` and return ``read(answer)``. Raises ModelError, BudgetError.
+        """Send a question until it is answered.
 
-        ``none_if_rejected``: return None if the server may have refused a field of the body.
+        Args:
+            body: The body of the request.
+            read: Reads the answer. It raises InvalidAnswer if the answer is unusable.
+            none_if_rejected: Whether to return None if the server may have refused a field of the body.
+
+        Returns:
+            The result of ``read``, or None.
+
+        Raises:
+            ModelError: The server gives no usable answer.
+            BudgetError: The run's time for models has ended.
         """
         raw, counted = json.dumps(body).encode(), 0
         for number in itertools.count():
@@ -239,7 +290,7 @@ class Question:
         raise AssertionError("the last try answers or raises")
 
     def _try(self, raw: bytes) -> _Response | _Failure:
-        """Send the question once. Raises ModelError for a failure that a retry cannot change."""
+        """Send the question once. Raise ModelError for a failure that a retry cannot change."""
         left = self._allowed - (self._server.clock.now() - self._began)
         if left <= 0:
             self._fail_for_time()
@@ -273,8 +324,13 @@ class Question:
         return answer
 
     def _wait(self, number: int, counted: int, failure: _Failure) -> None:
-        """Wait before the next try. ``number`` of tries before this one, and how many of them were ``counted``. Raises
-        ModelError after the last try or if the deadline would pass."""
+        """Wait before the next try. Raise ModelError after the last try, or if the deadline would pass.
+
+        Args:
+            number: The number of tries before this one.
+            counted: How many of them count against the maximum.
+            failure: The failure of this try.
+        """
         if counted == self._server.settings.llm_retries and not failure.until_deadline:
             retried = "" if self.retries == 0 else f", also after {self.retries} retries"
             self._fail(f"{failure.reason}{retried}; {failure.advice}")
@@ -290,7 +346,7 @@ class Question:
         self.retries += 1
 
     def _failure(self, fault: ServerFault, answer: _Response) -> _Failure:
-        """The failure to retry after. Raises ModelError for a fault that a retry cannot change."""
+        """Make the failure after which to retry. Raise ModelError for a fault that a retry cannot change."""
         said = self._server_text(answer)
         no_address = (answer.status in (404, 405) and "model" not in said.lower()) or NO_ADDRESS.search(said)
         if no_address and (advice := self._server.address_advice):
@@ -314,7 +370,7 @@ class Question:
         return self._server.quoted(str(error)) or type(error).__name__
 
     def _server_text(self, answer: _Response) -> str:
-        """The text that a server gives with its status, after a colon."""
+        """Return the text that a server gives with its status, after a colon."""
         value, _ = wire.read_body(answer.body)
         text = self._server.quoted(answer.body[:1000] if value is None else wire.error_text(value))
         return f": {text.rstrip('.')}" if text else ""
@@ -325,7 +381,7 @@ class Question:
 
 
 def _retry_after(headers: Mapping[str, str]) -> float:
-    """Seconds of the Retry-After header, which holds seconds or a date; 0 if it is absent or unreadable."""
+    """Read the wait [s] of the Retry-After header, which holds seconds or a date; 0 if it is absent or unreadable."""
     given = headers.get("retry-after", "").strip()
     if not given:
         return 0.0

@@ -1,5 +1,7 @@
-"""The chat completions protocol as plain data: bodies of requests, what answers hold, and what servers report as
-errors, by status and error code, with one sentence each that says what to do. No I/O.
+"""The chat completions protocol as plain data, without I/O.
+
+The module makes bodies of requests and reads answers. It also lists the errors of servers by status and error code,
+each with a sentence that says what to do.
 
 Sources: the error pages of OpenAI, DeepSeek, Anthropic (529), OpenRouter (a 200 with an ``error`` object that holds the
 status as its ``code``), vLLM and llama.cpp.
@@ -22,9 +24,10 @@ LESS_THINKING: tuple[Mapping[str, Any], ...] = (
     {"chat_template_kwargs": {"enable_thinking": False, "thinking": False}},
     {"thinking": {"type": "disabled"}},
 )
-"""Fields that ask for less thinking: of OpenAI, Ollama and others; of vLLM, SGLang and llama.cpp; of DeepSeek, Z.ai."""
+"""Fields that ask for less thinking: for OpenAI, Ollama and others; for vLLM, SGLang and llama.cpp; for DeepSeek and
+Z.ai."""
 TOKEN_LIMITS = ("max_tokens", "max_completion_tokens")  # OpenAI's newer models take the second
-MAX_QUOTED_CHARACTERS = 200  # of a server's text that a message quotes
+MAX_QUOTED_CHARACTERS = 200  # characters of a server's text that a message quotes
 TRY_LATER = "try again later, or use another model"
 _FORM = re.compile(r"response_?format|json_?schema|json_?object|guided_|grammar", re.IGNORECASE)
 _LOADING_PATTERN = re.compile(r"\b(?:loading|starting)\b", re.IGNORECASE)
@@ -32,14 +35,20 @@ _CONTEXT_EXCEEDED_PATTERN = re.compile(r"maximum context length|context (?:lengt
 
 
 class InvalidAnswer(Exception):
-    """An answer that does not follow the protocol; the text says why."""
+    """An answer that does not follow the protocol. The text says why."""
 
 
 def chat_body(request: ChatRequest, model: str, mode: str, temperature: float | None) -> dict[str, Any]:
-    """The body of POST chat/completions.
+    """Make the body of POST chat/completions.
 
-    The first message ends with the answer's schema in every ``mode``, because some servers accept ``response_format``
-    and ignore it. The mode ``json_schema`` sends the schema as ``response_format``, too.
+    The first message ends with the answer's schema in every mode, because some servers accept ``response_format`` and
+    ignore it. The mode ``json_schema`` sends the schema as ``response_format`` as well.
+
+    Args:
+        request: The question.
+        model: The name of the model on the server.
+        mode: How the schema is sent: json_schema, json_object or text.
+        temperature: The temperature; None means the server's own.
     """
     messages = [{"role": role, "content": content} for role, content in request.messages]
     body: dict[str, Any] = {"model": model, "messages": messages, "stream": False}
@@ -58,7 +67,7 @@ def chat_body(request: ChatRequest, model: str, mode: str, temperature: float | 
 
 
 def strict_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
-    """A JSON schema for the strict mode: objects are closed, all properties are required, and defaults are absent."""
+    """Adapt a JSON schema to the strict mode: close objects, require all properties, and remove defaults."""
     strict: dict[str, Any] = copy.deepcopy(dict(schema))
     stack: list[Any] = [strict]
     while stack:
@@ -76,7 +85,11 @@ def strict_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_body(raw: str) -> tuple[dict[str, Any] | None, str]:
-    """The object in a server's body and nothing, or None and why it cannot be read."""
+    """Read the JSON object in a server's body.
+
+    Returns:
+        The object and an empty string, or None and why it cannot be read.
+    """
     try:
         value = json.loads(raw)
     except (ValueError, RecursionError):
@@ -85,9 +98,16 @@ def read_body(raw: str) -> tuple[dict[str, Any] | None, str]:
 
 
 def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> ChatReply:
-    """The reply in a completion, without duration and retries.
+    """Read the reply in a completion, without duration and retries.
 
-    Raises InvalidAnswer, also if the model refuses to answer or the server withholds the answer.
+    Args:
+        value: The JSON object of the server's answer.
+        request: The question.
+        mode: How the schema was sent.
+
+    Raises:
+        InvalidAnswer: The answer does not follow the protocol, the model refuses to answer, or the server withholds the
+            answer.
     """
     try:
         choice = value["choices"][0]
@@ -129,7 +149,7 @@ def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> Cha
 
 
 def error_text(value: Any) -> str:
-    """The text that a server gives in the body of an error."""
+    """Return the text that a server gives in the body of an error."""
     error = value.get("error", value) if isinstance(value, dict) else value
     if isinstance(error, dict):
         error = error.get("message") or error.get("detail") or json.dumps(error)
@@ -137,7 +157,7 @@ def error_text(value: Any) -> str:
 
 
 def quoted_reply(text: str) -> str:
-    """A server's text for a message: one line of at most ``MAX_QUOTED_CHARACTERS`` characters."""
+    """Shorten a server's text for a message to one line of at most ``MAX_QUOTED_CHARACTERS`` characters."""
     line = one_line(text)
     return line if len(line) <= MAX_QUOTED_CHARACTERS else line[: MAX_QUOTED_CHARACTERS - 3] + "..."
 
@@ -153,7 +173,7 @@ def _content(given: Any) -> str:
 
 
 def _arguments(message: Mapping[str, Any]) -> str:
-    """The arguments of the first tool that the message calls: where some servers put an answer of a given schema."""
+    """Return the arguments of the message's first tool call. Some servers put an answer with a schema there."""
     calls = message.get("tool_calls")
     first = calls[0] if isinstance(calls, list) and calls and isinstance(calls[0], dict) else {}
     function = first.get("function") or message.get("function_call")
@@ -169,9 +189,12 @@ def _count(given: Any) -> int | None:
 class ServerFault:
     """An error of a server.
 
-    says: what the server did, after its name. advice: what the user can do. retried: whether the same question may be
-    answered a little later. passes: whether it will be, and how often it is asked until then does not matter.
-    of_a_field: whether the server may have refused one field of the question.
+    Attributes:
+        says: What the server did, as words that follow its name.
+        advice: What the user can do.
+        retried: Whether the same question may be answered a little later.
+        passes: Whether the error will pass, so that the question is repeated until the deadline.
+        of_a_field: Whether the server may have refused one field of the question.
     """
 
     says: str
@@ -240,11 +263,19 @@ BY_CODE = {
         "refused the question by its content filter", "switch the filter off there, or choose another model"
     ),
 }
-"""By ``error.code`` or ``error.type``."""
+"""The errors by ``error.code`` or ``error.type``."""
 
 
 def fault_of(status: int, body: Mapping[str, Any] | None) -> ServerFault | None:
-    """The error in an answer, None if it reports none. ``body``: the JSON object, None if it is no JSON object."""
+    """Find the error that a server's answer reports.
+
+    Args:
+        status: The status of the answer.
+        body: The JSON object of the answer, or None if it is not one.
+
+    Returns:
+        The error, or None.
+    """
     error = body.get("error") if body is not None else None
     if status == 200 and not error:
         return None
@@ -263,7 +294,7 @@ def fault_of(status: int, body: Mapping[str, Any] | None) -> ServerFault | None:
 
 
 def refuses_the_form(text: str) -> bool:
-    """Whether the text of an error names the way in which the schema of the answer was sent.
+    """Return whether the text of an error names the way in which the schema of the answer was sent.
 
     Servers give such errors any status: 400, 404 (no provider supports it), 422, 500 (llama-cpp-python), 501.
     """

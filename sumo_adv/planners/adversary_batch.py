@@ -1,8 +1,8 @@
-"""``n`` adversaries on their ways: one inside an attempt, many in a prediction.
+"""A batch of ``n`` adversaries on their ways: one in an attempt, many in a prediction.
 
 A way is one of the paths that a vehicle can take (``ReferencePath``). ``AdversaryBatch`` knows the way of each vehicle,
-turns endpoints into goals along it, and makes the planners' observations: the dictionaries ``bv`` and ``ego`` in the
-frame of the ego's pose at the trigger.
+turns endpoints into goals along it, and makes the planners' observations. An observation consists of the dictionaries
+``bv`` and ``ego`` in the frame of the ego's pose at the trigger.
 """
 
 from __future__ import annotations
@@ -28,19 +28,32 @@ TURN_COST_M_RAD = 4.0  # cost of a heading difference when an endpoint's way is 
 WAY_CHANGE_COST_M = 0.5  # another way must be this much nearer to an endpoint than the present one
 COINCIDING_WAYS_DISTANCE_M = 0.4  # ways this near to each other still coincide
 MAX_LATERAL_MOVE_S = 20.0  # bound of ``lateral_time``, because the move of a vehicle that hardly moves takes minutes
-COARSE_WAY_STRIDE = 12  # samples of a way between those of the first search for the nearest one
+COARSE_WAY_STRIDE = 12  # the first search for the nearest sample of a way looks at every twelfth
 COARSE_NEIGHBOURS = np.arange(1 - COARSE_WAY_STRIDE, COARSE_WAY_STRIDE)
 SUMO_TURN_COST_M_RAD, SUMO_WAY_CHANGE_COST_M = 2.2, 2.0  # SUMO's costs of heading and of another way (moveToXY)
-AFTER_MERGE_M = 10.0  # behind the place where ways meet, up to which a vehicle counts as on the junction
+AFTER_MERGE_M = 10.0  # a vehicle counts as on the junction up to this far past the place where ways meet
 FRONT_NEIGHBOURS = np.arange(-12, 13)  # samples of a way around a vehicle's front
 JOINED_DISTANCE_M = 2.5  # ways this near to each other are one (SUMO's DIVERGENCE_MIN_WIDTH; at most a lane's width)
 
 
 class AdversaryBatch:
-    """``n`` vehicles on their ways, each in a situation of one encounter. ``names``: BV ids, repeats allowed. ``rows``
-    holds all ways; ``rows.row`` is the way of each vehicle."""
+    """``n`` vehicles on their ways, each in a situation of one encounter.
+
+    Attributes:
+        scenes: The situations.
+        targets: The BV of each vehicle.
+        rows: All ways; ``rows.row`` is the index of each vehicle's way.
+        length: The vehicles' lengths [m], ``(n,)``.
+        cap: The vehicles' highest speeds [m/s], ``(n,)``.
+    """
 
     def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
+        """Put each vehicle on its first way.
+
+        Args:
+            situations: The situation of each vehicle.
+            names: The BV id of each vehicle. Ids may repeat.
+        """
         self.scenes = SituationBatch(situations)
         self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
         unique = list({id(t): t for t in self.targets}.values())
@@ -72,13 +85,17 @@ class AdversaryBatch:
         self._unprotected = np.array([is_unprotected(t.state) for t in self.targets])
 
     def begin(self) -> Motion:
-        """All vehicles as at the trigger."""
+        """Return the motion of all vehicles at the trigger."""
         columns = [(t.station, t.offset, math.sin(t.turn), t.state.speed, t.state.acceleration) for t in self.targets]
         s, d, slope, v, a = np.array(columns, float).T
         return start(Batch, s, d, slope, v, a)
 
     def relative(self, motion: Motion) -> tuple[Floats, Floats, Floats]:
-        """Station, offset and heading of the box centres in the ego path's frame, each ``(n,)``."""
+        """Express the box centres in the frame of the ego's path.
+
+        Returns:
+            Stations [m], offsets [m] and headings [rad], each ``(n,)``.
+        """
         row = self.rows.row
         u = np.minimum(np.maximum(motion.s / PATH_STEP_M, 0.0), self._ego.shape[2] - 1.0)
         i = np.minimum(u.astype(np.intp), self._ego.shape[2] - 2)
@@ -86,22 +103,32 @@ class AdversaryBatch:
         s0, d0, h0 = self._ego[row, :, i].T
         s1, d1, _ = self._ego[row, :, i + 1].T
         h = h0 + np.arcsin(motion.slope)
-        near = np.abs(s1 - s0) < 5.0  # else the nearest place on the ego's path jumps
+        near = np.abs(s1 - s0) < 5.0  # otherwise, the nearest place on the ego's path jumps
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap(h)
 
     def may_brake_hard(self, motion: Motion) -> Bools:
-        """Which vehicles are in the ego's lane and go its way, ``(n,)``: people brake hard for what is before them.
-        Pedestrians and cyclists have limits of their own."""
+        """Return which vehicles may brake harder than people usually do.
+
+        Vehicles in the ego's lane that go its way may, because people brake hard for what is ahead of them. Pedestrians
+        and cyclists may, because they have limits of their own.
+
+        Returns:
+            A flag for each vehicle, ``(n,)``.
+        """
         _, d, h = self.relative(motion)
         in_line = (np.abs(d) < self._lane / 2) & (np.abs(h) < SAME_DIRECTION)
         return np.asarray(in_line | self._unprotected)
 
     def at_junction(self, motion: Motion) -> AtJunction | None:
-        """How the vehicles block the junction where their ways meet the ego's path; None if no way meets it at one.
+        """Describe how the vehicles block the junction where their ways meet the ego's path.
 
-        Call it once a step, because the way of each vehicle depends on its way in the last step. The end of a junction
-        is unknown. It is taken to be as far behind the place where the ways meet as the junction begins before it.
+        Call this method once per step, because the way of each vehicle depends on its way in the last step. The end of
+        a junction is unknown. It is assumed to be as far past the place where the ways meet as the junction's beginning
+        is before that place.
+
+        Returns:
+            The vehicles' places relative to the junction, or None if no way meets the ego's path at a junction.
         """
         if not np.isfinite(self._junctions[:, 2]).any():
             return None
@@ -122,10 +149,10 @@ class AdversaryBatch:
         )  # fmt: skip
 
     def _find_sumo_ways(self, motion: Motion) -> Any:
-        """The way that SUMO has each vehicle on, ``(n,)``.
+        """Find the way on which SUMO places each vehicle, ``(n,)``.
 
-        Before the junction it is the way of the vehicle's route. On the junction it is the way nearest to the vehicle's
-        front, and the way of the last step counts as nearer (``moveToXY``).
+        Before the junction, it is the way of the vehicle's route. On the junction, it is the way nearest to the
+        vehicle's front, and the way of the last step counts as nearer (``moveToXY``).
         """
         on = (motion.s + self.length / 2 > self._enters) & (motion.s < self._leaves) & (self._count > 1)
         if self._sumo_way is None:
@@ -158,7 +185,7 @@ class AdversaryBatch:
         return self._sumo_way
 
     def road(self, k: int) -> PathRow:
-        """The way of vehicle ``k``, for floats."""
+        """Return the way of vehicle ``k`` for look-ups with floats."""
         row = int(self.rows.row[k])
         if row not in self._roads:
             self._roads[row] = PathRow(self._ways[row].path)
@@ -167,8 +194,14 @@ class AdversaryBatch:
     # -- endpoints ----------------------------------------------------------------------------------------------
 
     def aim(self, motion: Motion, ends: Sequence[Endpoint | None], before: PathEndpoint) -> PathEndpoint:
-        """Goals on the ways for endpoints in the world. Puts each vehicle on the way that leads to its endpoint.
-        Vehicles without an endpoint keep the goal ``before``."""
+        """Put each vehicle on the way that leads to its endpoint, and return goals along these ways.
+
+        Args:
+            motion: The vehicles' motion.
+            ends: The endpoint of each vehicle in the world, or None. A vehicle without an endpoint keeps its way and
+                goal.
+            before: The previous goals.
+        """
         have = np.array([e is not None for e in ends])
         values = [(e.x, e.y, e.heading, e.speed, e.time) if e else (0.0, 0.0, 0.0, 0.0, 1.0) for e in ends]
         x, y, h, v, time = np.array(values, float).T
@@ -193,7 +226,7 @@ class AdversaryBatch:
         return PathEndpoint(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
 
     def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
-        """Stations and offsets [m] of poses ``(n,)`` on the ways ``row``, and the heading differences [rad]."""
+        """Project poses ``(n,)`` onto the ways ``row``: stations and offsets [m], and heading differences [rad]."""
         table, last = self.rows.table, self.rows.last[row]
         coarse, way = self._coarse[row], row[:, None]
         first = _nearest(coarse[:, 0], coarse[:, 1], x, y) * COARSE_WAY_STRIDE
@@ -206,8 +239,16 @@ class AdversaryBatch:
         return i * PATH_STEP_M + along, aside, np.abs(wrap(h - heading))
 
     def follower(self, k: int, motion: Motion, states: Floats) -> Follower:
-        """A follower that drives vehicle ``k`` along a planner's states (n, 4) on its way. Raises PlannerResultError:
-        there are too few states, or they leave the way."""
+        """Make a follower that drives a vehicle along a planner's own trajectory on its way.
+
+        Args:
+            k: The index of the vehicle.
+            motion: The vehicles' motion.
+            states: The trajectory: x, y, heading and speed in the world, ``(n, 4)``.
+
+        Raises:
+            PlannerResultError: There are too few states, or they leave the way.
+        """
         x, y, h = pose(Batch, motion, self.rows)
         dt = self.scenes.dt
         line = PlannedCourse(starting_now(states, float(x[k]), float(y[k]), float(h[k]), dt), dt)
@@ -219,10 +260,17 @@ class AdversaryBatch:
         self, motion: Motion, now: float, ego: tuple[Floats, Floats, Floats, Floats],
         last: Sequence[Mapping[str, float] | None], rows: Sequence[int] | None = None,
     ) -> list[PlannerObservation]:  # fmt: skip
-        """The observation of each vehicle's planner; empty dictionaries for vehicles that are not in ``rows``.
+        """Make the observation of each vehicle's planner.
 
-        ``now``: seconds since the trigger. ``ego``: station [m], offset [m], speed [m/s] and acceleration [m/s2] of the
-        egos, each ``(n,)``. ``last``: the last endpoint of each vehicle, or None.
+        Args:
+            motion: The vehicles' motion.
+            now: The time since the trigger [s].
+            ego: Station [m], offset [m], speed [m/s] and acceleration [m/s2] of the egos, each ``(n,)``.
+            last: The last endpoint of each vehicle, or None.
+            rows: The vehicles that are observed; None means all.
+
+        Returns:
+            The observation of each vehicle. It has empty dictionaries for vehicles that are not in ``rows``.
         """
         scenes = self.scenes
         es, ed, ev, ea = ego
@@ -263,24 +311,25 @@ class AdversaryBatch:
 
 
 def _nearest(place_x: Floats, place_y: Floats, x: Floats, y: Floats) -> Any:
-    """The index of the place ``(n, k)`` nearest to each point, ``(n,)``."""
+    """Find the index of the place ``(n, k)`` nearest to each point, ``(n,)``."""
     dx, dy = x[:, None] - place_x, y[:, None] - place_y
     return np.argmin(dx * dx + dy * dy, axis=1)
 
 
 def _inside(target: Target) -> tuple[float, float]:
-    """Stations [m] at which a BV enters and leaves the junction where its ways part."""
+    """Return the stations [m] at which a BV enters and leaves the junction where its ways part."""
     begins = min(w.junction for w in target.ways)
     meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None]
     return begins, max(meets, default=begins) + AFTER_MERGE_M
 
 
 def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, float, float, float]:
-    """The junction of a way, as six numbers.
+    """Describe the junction of a way by six numbers.
 
-    Stations [m] of the way where its junction begins and where it meets the ego's path; the station of the ego's path
-    there; 1 if the two merge, 0 if they cross; the length of their conflict in lane widths (SUMO's ``conflictSize``);
-    the station of the ego's path at which merging paths have become one.
+    Returns:
+        The station of the way at which its junction begins [m]; the station of the way at which it meets the ego's path
+        [m]; the station of the ego's path there [m]; 1 if the two merge, 0 if they cross; the length of their conflict
+        in lane widths (SUMO's ``conflictSize``); the station of the ego's path at which merging paths have joined [m].
     """
     c = way.conflict
     if c is None:
@@ -293,6 +342,6 @@ def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, flo
 
 
 def _yields(situation: Situation, target: Target) -> bool:
-    """Whether the BV has red and the ego green at the trigger."""
+    """Return whether the BV has no green light and the ego has one at the trigger."""
     ego, bv = (situation.traffic.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
     return bool(ego) and ego[0][2] in "Gg" and bool(bv) and bv[0][2] not in "Gg"

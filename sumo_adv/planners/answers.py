@@ -1,7 +1,8 @@
-"""What a planner is told and what it answers: observation, road, forecast of the ego's motion, endpoint.
+"""What a planner observes and what it answers: observation, road, forecast of the ego's motion, endpoint.
 
-An ego near its unattacked profile is expected to follow it, shifted by its present distance from it. Any other ego is
-expected to keep its acceleration for a moment and then its speed. The profile is the ego's motion in the baseline run.
+The ego's profile is its motion in the baseline run. The forecast assumes that an ego near its profile follows it,
+shifted by its present distance from the profile. It assumes that any other ego keeps its acceleration for a moment and
+then its speed.
 """
 
 from __future__ import annotations
@@ -23,10 +24,13 @@ PlannerObservation = tuple[dict[str, Any], dict[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A planner's answer, in the world.
+    """A planner's answer, in the world frame.
 
-    ``trajectory``: (n, 4) states x, y, heading, speed, one for each step from now on, without the present one. None
-    means the built-in f_traj. ``remark``: why the planner's own trajectory was refused.
+    Attributes:
+        endpoint: The endpoint.
+        trajectory: The planner's own trajectory, ``(n, 4)``: x, y [m], heading [rad] and speed [m/s] for each step from
+            now on, without the present state. None means that the built-in f_traj is used.
+        remark: Why the planner's own trajectory was refused, or empty.
     """
 
     endpoint: Endpoint
@@ -35,22 +39,30 @@ class Answer:
 
 
 AskOne = Callable[[PlannerObservation], Answer | str]
-"""Returns a planner's answer, or a sentence why there is none."""
+"""A function that returns a planner's answer, or a sentence that says why there is none."""
 
 
 def call_of(proposal: Proposal, road: str, observation: PlannerObservation, horizon: float) -> Call:
-    """The call of a proposal's planner; ``road``: the key of its road in the session."""
+    """Make the call of a proposal's planner.
+
+    Args:
+        proposal: The candidate.
+        road: The key of the candidate's road in the session.
+        observation: What the planner observes.
+        horizon: The planning horizon [s].
+    """
     acceleration = acceleration_at(proposal.acceleration, observation[0]["time"])
     return road, *observation, proposal.parameters, acceleration, horizon
 
 
 def local_endpoint(situation: Situation, end: Endpoint) -> dict[str, float]:
-    """An endpoint in the frame of the ego at the trigger, as planners give it."""
+    """Convert an endpoint to the frame of the ego at the trigger, as planners return it."""
     x, y, h = situation.frame.to_local(end.x, end.y, end.heading)
     return {"x": x, "y": y, "heading": h, "speed": end.speed, "time": end.time}
 
 
 def world_endpoint(situation: Situation, end: Mapping[str, float]) -> Endpoint:
+    """Convert an endpoint in the frame of the ego at the trigger to the world frame."""
     x, y, h = situation.frame.to_world(end["x"], end["y"], end["heading"])
     return Endpoint(x, y, h, end["speed"], end["time"])
 
@@ -59,7 +71,7 @@ def world_endpoint(situation: Situation, end: Mapping[str, float]) -> Endpoint:
 
 
 def planner_road(situation: Situation, name: str) -> dict[str, Any]:
-    """The ``road`` of the BV ``name``; the keys are described in ``prompts/planner.md``."""
+    """Make the ``road`` dictionary of the BV ``name``; ``prompts/planner.md`` describes its keys."""
     target = situation.targets[name]
     frame, hand = situation.frame, situation.frame.hand
     x, y, h = frame.to_local(target.state.x, target.state.y, target.state.heading)
@@ -92,7 +104,7 @@ def _signals(situation: Situation, vehicle: str) -> list[dict[str, Any]]:
 
 
 def _points(situation: Situation, path: Any) -> list[list[float]]:
-    """The first 200 m of a path as [x, y] every 2 m, in the ego's frame."""
+    """Sample the first 200 m of a path as [x, y] every 2 m, in the ego's frame."""
     step = slice(0, 400, 4)
     x, y, _ = situation.frame.to_local(path.x[step], path.y[step], path.heading[step])
     return [[round(a, 2), round(b, 2)] for a, b in zip(x.tolist(), y.tolist(), strict=True)]
@@ -109,7 +121,19 @@ ARRIVAL_TIMES_S = np.arange(0.0, 16.1, 0.5)
 def expected_stations(
     scenes: SituationBatch, now: float, s: Floats, v: Floats, a: Floats, look: Floats
 ) -> tuple[Floats, Floats]:
-    """Stations and speeds (n, k), ``look`` (k,) seconds from ``now``, of egos at ``s`` with ``v``, ``a`` (n,)."""
+    """Forecast the stations and speeds of egos.
+
+    Args:
+        scenes: The situations of the egos.
+        now: The time since the trigger [s].
+        s: The present stations [m], ``(n,)``.
+        v: The present speeds [m/s], ``(n,)``.
+        a: The present accelerations [m/s2], ``(n,)``.
+        look: The times from now [s], ``(k,)``.
+
+    Returns:
+        Stations [m] and speeds [m/s], each ``(n, k)``.
+    """
     (ps, pv), (fs, fv) = scenes.profile_now(now), scenes.profile(now + look)
     held = np.minimum(look, HELD_ACCELERATION_S)
     speed = np.maximum(v[:, None] + a[:, None] * held, 0.0)
@@ -119,8 +143,20 @@ def expected_stations(
 
 
 def arrivals(scenes: SituationBatch, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
-    """Seconds until egos (n,) are at stations ``conflict_s`` (n, k). Negative once past, ``NO_ARRIVAL_S`` if the ego
-    does not get there within the forecast."""
+    """Forecast how long egos need to reach given stations.
+
+    Args:
+        scenes: The situations of the egos.
+        now: The time since the trigger [s].
+        s: The present stations [m], ``(n,)``.
+        v: The present speeds [m/s], ``(n,)``.
+        a: The present accelerations [m/s2], ``(n,)``.
+        conflict_s: The stations to reach [m], ``(n, k)``.
+
+    Returns:
+        Times [s], ``(n, k)``. A time is negative after the ego has passed the station, and ``NO_ARRIVAL_S`` if the ego
+        does not reach it within the forecast.
+    """
     times = np.full(conflict_s.shape, NO_ARRIVAL_S)
     if not np.isfinite(conflict_s).any():
         return times

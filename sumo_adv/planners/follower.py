@@ -1,8 +1,9 @@
-"""Following a planner's own trajectory: its states are a line with a timetable, and a vehicle drives along it.
+"""Follow a planner's own trajectory: its states form a line with a timetable, and a vehicle drives along the line.
 
-Two critically damped springs pull the vehicle: sideways to the nearest place of the line, and along it to the place of
-the timetable. The vehicle stays within the limits. A timetable that is too fast makes it late, and a line that is too
-sharp makes it leave the line. Attempts and predictions both drive one vehicle at a time here, on floats.
+Two critically damped springs pull the vehicle: one sideways to the nearest place of the line, the other along the line
+to the place of the timetable. The vehicle stays within the limits. If the timetable is too fast, the vehicle is late.
+If the line is too sharp, the vehicle leaves it. Attempts and predictions both drive one vehicle at a time here, with
+floats.
 """
 
 from __future__ import annotations
@@ -21,26 +22,40 @@ from sumo_adv.planners.trajectory import BEND_SPEED_TIMES_S, LATERAL_RESERVE_M_S
 
 MIN_FITTED_STATES = 4  # with fewer, speeds and accelerations cannot be fitted
 FIT_HALF_WINDOW = 3  # states on either side over which speeds and accelerations are fitted
-ACROSS_SPRING_1_S, ALONG_SPRING_1_S = 2.0, 1.5  # of the two springs
-MAX_SPRING_DELAY_M = 5.0  # that the spring along the line sees
-USED_LIMIT_SHARE = 0.95  # of the limits on lateral acceleration and curvature
+ACROSS_SPRING_1_S, ALONG_SPRING_1_S = 2.0, 1.5  # natural frequencies of the two springs
+MAX_SPRING_DELAY_M = 5.0  # a larger delay is capped for the spring along the line
+USED_LIMIT_SHARE = 0.95  # share of the limits on lateral acceleration and curvature that is used
 MIN_CORRECTION_M_S2 = 0.5  # lateral acceleration for corrections where the planner's line is straight
 MAX_LATERAL_JERK_M_S3 = 10.0
 # Beyond these, a line has no place beside the way; the stretch is 1 - curvature * offset.
 MAX_WAY_ANGLE_RAD, MIN_WAY_STRETCH = 0.7, 0.3
 MIN_HEADING_SPEED_M_S = 0.3  # below it, headings are the planner's
 MIN_CURVATURE_SPEED_M_S = 2.0  # below it, curvature is not checked
-ON_ROAD_S = 3.0  # of a trajectory that must be on the road
+ON_ROAD_S = 3.0  # the first part of a trajectory, which must be on the road
 
 
 class PlannedCourse:
-    """A planner's states (n, 4: x, y, heading, speed in the world, ``dt`` s apart) as a smooth motion.
+    """A planner's states as a smooth motion. All arrays have the shape ``(n,)``.
 
-    Attributes are arrays ``(n,)``: x, y [m]; heading [rad], of the motion or, below ``MIN_HEADING_SPEED_M_S``, the
-    planner's; p: metres along the line; v [m/s]; a, lateral [m/s2]; curvature [1/m].
+    Attributes:
+        dt: The time between two states [s].
+        x: The x positions [m].
+        y: The y positions [m].
+        heading: The headings [rad]: those of the motion or, below ``MIN_HEADING_SPEED_M_S``, the planner's.
+        p: The distances along the line [m].
+        v: The speeds [m/s].
+        a: The accelerations along the line [m/s2].
+        lateral: The lateral accelerations [m/s2].
+        curvature: The curvatures [1/m].
     """
 
     def __init__(self, states: Floats, dt: float) -> None:
+        """Fit the motion to states.
+
+        Args:
+            states: x, y [m], heading [rad] and speed [m/s] in the world, ``(n, 4)``.
+            dt: The time between two states [s].
+        """
         self.dt = dt
         x, y, heading = states[:, 0], states[:, 1], states[:, 2]
         vx, ax = _slopes(x, dt)
@@ -56,7 +71,15 @@ class PlannedCourse:
         self.curvature = np.where(moving, self.lateral / speed**2, 0.0)
 
     def beyond(self, limits: Limits, cap: float) -> str:
-        """The quantities that exceed the limits or the highest speed ``cap``, as words; empty if there are none."""
+        """Name the quantities that exceed the limits.
+
+        Args:
+            limits: The limits of the vehicle's motion.
+            cap: The vehicle's highest speed [m/s].
+
+        Returns:
+            The quantities in words, or an empty string.
+        """
         exceeded, moves = [], self.v > MIN_CURVATURE_SPEED_M_S
         for quantity, value, most, unit in (
             ("sideways", np.abs(self.lateral).max(), limits.lateral, "m/s2"),
@@ -71,7 +94,7 @@ class PlannedCourse:
 
 
 def _slopes(values: Floats, dt: float) -> tuple[Floats, Floats]:
-    """First and second derivatives of values ``dt`` apart, from a parabola fitted around each."""
+    """Return first and second derivatives of values ``dt`` [s] apart, from a parabola fitted around each value."""
     n = len(values)
     width = min(2 * FIT_HALF_WINDOW + 1, n)
     first = np.clip(np.arange(n) - width // 2, 0, n - width)
@@ -81,7 +104,18 @@ def _slopes(values: Floats, dt: float) -> tuple[Floats, Floats]:
 
 
 def starting_now(states: Floats, x: float, y: float, heading: float, dt: float) -> Floats:
-    """The states, beginning now: with the present pose before them if their first one is ``dt`` from now."""
+    """Make a planner's states begin now.
+
+    Args:
+        states: The states: x, y [m], heading [rad] and speed [m/s], ``(n, 4)``.
+        x: The vehicle's present x position [m].
+        y: The vehicle's present y position [m].
+        heading: The vehicle's present heading [rad].
+        dt: The time between two states [s].
+
+    Returns:
+        The states. If the first one is ``dt`` from now, the present pose is put before them.
+    """
     step = math.hypot(*(states[1, :2] - states[0, :2])) if len(states) > 1 else 0.0
     ahead = math.cos(heading) * (states[0, 0] - x) + math.sin(heading) * (states[0, 1] - y)
     if step > MIN_HEADING_SPEED_M_S * dt and ahead > step / 2:
@@ -92,17 +126,41 @@ def starting_now(states: Floats, x: float, y: float, heading: float, dt: float) 
 def leaves_road(
     states: Floats, length: float, width: float, dt: float, on_road: Callable[[Floats, Floats], Bools]
 ) -> float | None:
-    """Seconds from now at which the box leaves the road, as the gate sees it; None if it stays for ``ON_ROAD_S`` s."""
+    """Find when a vehicle leaves the road within the first ``ON_ROAD_S`` seconds, as the gate ``off_road`` judges it.
+
+    Args:
+        states: The vehicle's states: x, y [m], heading [rad] and speed [m/s], ``(n, 4)``.
+        length: The vehicle's length [m].
+        width: The vehicle's width [m].
+        dt: The time between two states [s].
+        on_road: Returns which points are on the road.
+
+    Returns:
+        The time from now [s], or None if the vehicle stays on the road.
+    """
     x, y, heading, speed = states[: round(ON_ROAD_S / dt)].T
     out = off_road(Boxes(x, y, heading, speed, length, width), np.ones(len(x), bool), on_road)
     return float((np.argmax(out) + 1) * dt) if out.any() else None
 
 
 class Follower:
-    """Drives one vehicle along one trajectory on its way. Raises PlannerResultError: the trajectory has too few states,
-    or leaves the way."""
+    """Drives one vehicle along one trajectory on its way.
+
+    Attributes:
+        line: The trajectory.
+        farthest: The largest distance so far between the vehicle and its place in the timetable [m].
+    """
 
     def __init__(self, line: PlannedCourse, way: Path) -> None:
+        """Prepare to follow a trajectory.
+
+        Args:
+            line: The trajectory.
+            way: The way that the vehicle takes.
+
+        Raises:
+            PlannerResultError: The trajectory has too few states, or leaves the way.
+        """
         if len(line.x) < MIN_FITTED_STATES:
             raise PlannerResultError(f"trajectory() gave {len(line.x)} states, at least {MIN_FITTED_STATES} are needed")
         d, turned, curvature = _beside(line, way)
@@ -121,19 +179,28 @@ class Follower:
         self._k, self._here = 0, 0.0
         settled = np.flatnonzero(np.abs(d - d[-1]) > 0.05)
         self._end = float(d[-1]), (float(settled[-1] + 1) * line.dt if len(settled) else 0.0)
-        self.farthest = 0.0  # m: largest distance so far from the place of the timetable
+        self.farthest = 0.0
 
     @property
     def over(self) -> bool:
+        """Whether the vehicle has driven all steps of the trajectory."""
         return self._k >= len(self._p) - 1
 
     def begin(self, motion: Motion) -> Motion:
-        """The motion with the offset at the trajectory's end as its lateral target, for planners' observations."""
+        """Set the offset at the trajectory's end as the motion's lateral target, which planners observe."""
         target, seconds = self._end
         return motion._replace(target=target, clock=0.0, span=max(seconds, 1e-3))
 
     def advance(self, motion: Motion, road: PathRow, limits: Limits, cap: float, hard: bool) -> Motion:
-        """One step on; ``hard``: see ``trajectory.faster``."""
+        """Advance the vehicle by one step.
+
+        Args:
+            motion: The vehicle's motion.
+            road: The vehicle's way.
+            limits: The limits of the vehicle's motion.
+            cap: The vehicle's highest speed [m/s].
+            hard: Whether the vehicle may brake as hard as the limits allow; see ``trajectory.faster``.
+        """
         dt, v = self.line.dt, motion.v
         x, y, h = pose(Scalar, motion, road)
         bend = road.at(motion.s)[3]
@@ -156,7 +223,7 @@ class Follower:
         )  # fmt: skip
 
     def _place(self, x: float, y: float, h: float) -> tuple[float, float, float]:
-        """The nearest place of the line: metres to the left, angle to its heading [rad], curvature [1/m]."""
+        """Find the nearest place of the line: its distance to the left [m], relative heading [rad], curvature [1/m]."""
         for _ in range(2):
             rx, ry, rh, curvature = self._at(self._here)
             c, s = math.cos(rh), math.sin(rh)
@@ -167,7 +234,7 @@ class Follower:
         return aside, wrap(rh - h), curvature
 
     def _at(self, p: float) -> tuple[float, float, float, float]:
-        """x, y, heading and curvature ``p`` metres along the line."""
+        """Return x, y, heading and curvature ``p`` metres along the line."""
         last = len(self._p) - 1
         i = min(max(bisect.bisect_right(self._p, p) - 1, 0), last - 1)
         step = self._p[i + 1] - self._p[i]
@@ -179,7 +246,7 @@ class Follower:
         return a[0] * e + b[0] * w, a[1] * e + b[1] * w, a[2] * e + b[2] * w, a[3] * e + b[3] * w
 
     def _along(self, v: float, limits: Limits) -> float:
-        """The acceleration [m/s2] of the timetable, reduced for sharp bends ahead."""
+        """Return the acceleration that the timetable needs [m/s2], reduced for sharp bends ahead."""
         k = self._k
         late = min(max(self._p[k] - self._here, -MAX_SPRING_DELAY_M), MAX_SPRING_DELAY_M)
         want = (self._a[k] + self._a[k + 1]) / 2 + 2 * ALONG_SPRING_1_S * (self._v[k] - v) + ALONG_SPRING_1_S**2 * late
@@ -194,7 +261,7 @@ class Follower:
 def _on_way(
     motion: Motion, road: PathRow, x: float, y: float, h: float, v: float, a: float, lateral: float, dt: float
 ) -> Motion:
-    """A pose in the world as a motion on the way, near the station of ``motion``."""
+    """Convert a pose in the world to a motion on the way, near the station of ``motion``."""
     s, d = motion.s, motion.d
     for _ in range(3):
         px, py, ph, bend = road.at(s)
@@ -209,7 +276,7 @@ def _on_way(
 
 
 def _beside(line: PlannedCourse, way: Path) -> tuple[Floats, Floats, Floats]:
-    """Offsets of a line from a way [m], heading differences [rad], and the way's curvature there [1/m]."""
+    """Return offsets of a line from a way [m], heading differences [rad], and the way's curvature there [1/m]."""
     i = np.argmin((line.x[:, None] - way.x) ** 2 + (line.y[:, None] - way.y) ** 2, axis=1)
     h = way.heading[i]
     d = -np.sin(h) * (line.x - way.x[i]) + np.cos(h) * (line.y - way.y[i])

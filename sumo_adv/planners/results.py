@@ -1,11 +1,12 @@
-"""The checks of a planner's result, made twice.
+"""Check a planner's result, once in its session and once in this process.
 
 The first check runs inside the session. ``REDUCERS`` turn a result into a flat tuple or list of plain numbers. Without
-them, a dict with a hundred thousand chosen integer keys would stop this process for minutes: its hashes collide, so
-CPython builds it in quadratic time (measured: 12 000 keys, 0.8 s). A key of 40 nested pairs would stop it for ever,
-because monty keeps a tuple's hash and CPython computes it anew. The helpers' names are random in each session.
+them, a dict with a hundred thousand chosen integer keys would block this process for minutes. Its hashes collide, so
+CPython builds it in quadratic time (measured: 12 000 keys, 0.8 s). A key of 40 nested pairs would block this process
+forever, because monty keeps a tuple's hash and CPython computes it again each time. The helpers' names are random in
+each session.
 
-The second check runs here and does not rely on the first: exact type, count, finiteness and range.
+The second check runs in this process and does not rely on the first. It checks exact type, count, finiteness and range.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from sumo_adv.errors import PlannerResultError
 ENDPOINT_KEYS = ("x", "y", "heading", "speed", "time")
 MAX_TRAJECTORY_STATES = 400
 MAX_MESSAGE_CHARACTERS = 500
-MAX_START_GAP_M = 3.0  # from the vehicle to the start of its trajectory
+MAX_START_GAP_M = 3.0  # largest distance from the vehicle to the start of its trajectory
 MAX_STATE_CHANGE_M_S2 = 150.0  # a larger acceleration between two states is a jump
 MAX_COORDINATE_M, MAX_HEADING_RAD, MAX_SPEED_M_S, MAX_TIME_S = 1e5, 1e3, 100.0, 60.0
 ENDPOINT_RANGES = {
     "x": (-MAX_COORDINATE_M, MAX_COORDINATE_M), "y": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
     "heading": (-MAX_HEADING_RAD, MAX_HEADING_RAD), "speed": (0.0, MAX_SPEED_M_S), "time": (0.0, MAX_TIME_S),
 }  # fmt: skip
-"""Metres, radians, m/s and s; ``time`` must also be more than 0."""
+"""The range of each number in m, rad, m/s and s. In addition, ``time`` must be more than 0."""
 
 REDUCERS = """
 type_ID, len_ID, dict_ID, list_ID, tuple_ID, float_ID, int_ID = type, len, dict, list, tuple, float, int
@@ -82,12 +83,22 @@ def path_ID(c):
             out.append(n)
     return out
 """.replace("MAX_TRAJECTORY", str(MAX_TRAJECTORY_STATES))
-"""Code of the session's helpers. A session replaces ``ID`` by its own random digits."""
+"""Code of the session's helpers. A session replaces ``ID`` with random digits of its own."""
 
 
 def check_endpoint(subject: str, value: Any) -> dict[str, float]:
-    """Five checked numbers from the tuple of the session's reducer. Raises PlannerResultError: the value is anything
-    else; the message says what is wrong."""
+    """Check an endpoint.
+
+    Args:
+        subject: The planner, as the subject of messages.
+        value: What the session's reducer returned.
+
+    Returns:
+        The five numbers by name: x, y [m], heading [rad], speed [m/s] and time [s].
+
+    Raises:
+        PlannerResultError: The value is not a tuple of five valid numbers. The message says what is wrong.
+    """
     if type(value) is not tuple or len(value) != len(ENDPOINT_KEYS):
         raise _bad(subject, value)
     x, y, heading, speed, time = value
@@ -104,8 +115,18 @@ def check_endpoint(subject: str, value: Any) -> dict[str, float]:
 
 
 def check_trajectory(subject: str, value: Any) -> list[tuple[float, float, float, float]]:
-    """States (x, y, heading, speed) from the session's flat list of numbers. Raises PlannerResultError: the value is
-    anything else; the message says what is wrong."""
+    """Check a trajectory.
+
+    Args:
+        subject: The planner, as the subject of messages.
+        value: What the session's reducer returned: a flat list of numbers.
+
+    Returns:
+        The states: x, y [m], heading [rad] and speed [m/s].
+
+    Raises:
+        PlannerResultError: The value is not a list of valid states. The message says what is wrong.
+    """
     if type(value) is not list or not value or len(value) > 4 * MAX_TRAJECTORY_STATES or len(value) % 4:
         raise _bad(subject, value)
     n = [_number(subject, ENDPOINT_KEYS[i % 4], number) for i, number in enumerate(value)]
@@ -115,12 +136,21 @@ def check_trajectory(subject: str, value: Any) -> list[tuple[float, float, float
 def check_motion(
     subject: str, states: Sequence[tuple[float, float, float, float]], bv: Mapping[str, Any], dt: float
 ) -> None:
-    """Check that states ``dt`` [s] apart are one motion that begins at the vehicle. Limits of vehicles are not checked.
-    Raises PlannerResultError: the trajectory begins elsewhere, or jumps."""
+    """Check that states form one motion that begins at the vehicle. The limits of vehicles are not checked.
+
+    Args:
+        subject: The planner, as the subject of messages.
+        states: The states: x, y [m], heading [rad] and speed [m/s].
+        bv: The observed vehicle.
+        dt: The time between two states [s].
+
+    Raises:
+        PlannerResultError: The trajectory begins elsewhere, or jumps.
+    """
     away = math.hypot(states[0][0] - bv["x"], states[0][1] - bv["y"])
     if away > MAX_START_GAP_M + 1.5 * bv["speed"] * dt:
         raise PlannerResultError(f"{subject}: its trajectory begins {away:.1f} m from where the vehicle is.")
-    if len(states) > 1:  # from the vehicle's own velocity to that of the first two states: up to two steps of time
+    if len(states) > 1:  # the velocity may change from the vehicle's to that of the first two states in two steps
         (ax, ay, *_), (bx, by, *_) = states[:2]
         step = bv["speed"] * dt
         change = math.hypot(bx - ax - step * math.cos(bv["heading"]), by - ay - step * math.sin(bv["heading"]))
@@ -136,13 +166,13 @@ def check_motion(
 
 
 def printable_line(text: str) -> str:
-    """The text as one line of at most ``MAX_MESSAGE_CHARACTERS`` characters, without control codes for a terminal."""
+    """Return the text as one line of at most ``MAX_MESSAGE_CHARACTERS`` characters, without control codes."""
     short = text[: 2 * MAX_MESSAGE_CHARACTERS].replace("\n", "; ")
     return "".join(c for c in short if c.isprintable())[:MAX_MESSAGE_CHARACTERS].rstrip("; .")
 
 
 def subject_of(planner: Planner) -> str:
-    """The planner as the subject of error messages."""
+    """Name the planner as the subject of error messages."""
     return printable_line(f"Planner {planner.label}/{planner.mode}")[:120]
 
 
@@ -157,6 +187,6 @@ def _number(subject: str, name: str, value: Any) -> float:
 
 
 def _bad(subject: str, value: Any) -> PlannerResultError:
-    """An error with the reducer's own sentence, if the value is one."""
+    """Make an error, with the reducer's own sentence if the value is one."""
     reason = printable_line(value) if type(value) is str else "the result is not what a planner may return"
     return PlannerResultError(f"{subject}: {reason}.")

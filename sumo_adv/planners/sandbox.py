@@ -1,15 +1,16 @@
 """The pool of workers that run planner code: processes of monty, an interpreter for model-written Python.
 
-There are three walls. The first is monty: no host objects, files or network, and limits on time, memory and recursion.
-The second is bubblewrap around its process (``Jail``). The third is the check of everything that comes back
-(``results``).
+There are three layers of protection. The first is monty: it has no host objects, files or network, and it limits time,
+memory and recursion. The second is bubblewrap around monty's process (``Jail``). The third is the check of every
+returned value (``results``).
 
 The clock is frozen, sleep takes no time, random is seeded, and prints are counted and dropped. Globals live as long as
-a session, so a planner can see what earlier calls of its session left there. Calls of one batch also share the objects
-they were given. A planner never sees another planner's data, because each session starts from an empty interpreter.
+a session, so a planner can see what earlier calls of its session left there. In addition, calls of one batch share the
+objects that they receive. A planner never sees another planner's data, because each session starts from an empty
+interpreter.
 
-Measured on two slow cores, in bubblewrap or not: 0.7 ms a session (2 ms with a road of 1000 points), 0.15 ms a call
-(0.25 ms with an ego path of 80 states), 20 us a call in a batch of 100, 16 ms a type check.
+Measured on two slow cores, with and without bubblewrap: 0.7 ms per session (2 ms with a road of 1000 points), 0.15 ms
+per call (0.25 ms with an ego path of 80 states), 20 us per call in a batch of 100, 16 ms per type check.
 """
 
 from __future__ import annotations
@@ -39,16 +40,22 @@ from sumo_adv.planners.text import HELPERS_STUBS
 if TYPE_CHECKING:
     from pydantic_monty import Monty, MontySession
 
-# -- the second wall ------------------------------------------------------------------------------------------------
+# -- bubblewrap -----------------------------------------------------------------------------------------------------
 
 BUBBLEWRAP_VARIABLE = "SUMO_ADV_BUBBLEWRAP"
-WORKER_ADDRESS_SPACE_BYTES = 1 << 30  # beside the memory limit: what the worker needs itself, with its type checker
+WORKER_ADDRESS_SPACE_BYTES = 1 << 30  # for the worker itself, with its type checker, on top of the memory limit
 _PROBE_TIMEOUT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Jail:
-    """How the worker is started: ``command`` (argv), ``isolation`` (bubblewrap | process), ``note`` (a sentence)."""
+    """How the worker is started.
+
+    Attributes:
+        command: The command line (argv).
+        isolation: The kind of isolation: ``bubblewrap`` or ``process``.
+        note: The isolation in one sentence.
+    """
 
     command: tuple[str, ...]
     isolation: str
@@ -56,8 +63,15 @@ class Jail:
 
 
 def make_jail(bubblewrap: bool = True) -> Jail:
-    """Find the worker and the strongest way to start it here. ``bubblewrap``: False turns it off, and so does ``off``
-    in the variable ``SUMO_ADV_BUBBLEWRAP``. Raises SandboxError: monty's worker is not installed."""
+    """Find the worker and the strongest way to start it on this machine.
+
+    Args:
+        bubblewrap: Whether to use bubblewrap. The value ``off`` of the variable ``SUMO_ADV_BUBBLEWRAP`` turns it off as
+            well.
+
+    Raises:
+        SandboxError: Monty's worker is not installed.
+    """
     worker = _find_worker()
     if not bubblewrap or os.environ.get(BUBBLEWRAP_VARIABLE, "on").strip().lower() in ("off", "0", "false", "no"):
         return _plain(worker, "bubblewrap is turned off")
@@ -82,8 +96,12 @@ def make_jail(bubblewrap: bool = True) -> Jail:
 
 
 def wrapper_script(jail: Jail, memory: int) -> str:
-    """A POSIX ``sh`` script that starts the worker with an address-space limit, no core file and no messages.
-    ``memory``: of the planner's heap [bytes]."""
+    """Write a POSIX ``sh`` script that starts the worker with an address-space limit, no core file and no messages.
+
+    Args:
+        jail: How the worker is started.
+        memory: The limit of the planner's heap [bytes].
+    """
     kilobytes = (WORKER_ADDRESS_SPACE_BYTES + memory) // 1024
     return (
         "#!/bin/sh\n"
@@ -121,7 +139,7 @@ def _done(*command: str) -> subprocess.CompletedProcess[str]:
 
 
 def _probe(command: tuple[str, ...]) -> str | None:
-    """None if the worker starts and prints its version, else the reason."""
+    """Return None if the worker starts and prints its version, or otherwise the reason."""
     done = _done(*command, "--version")
     if done.returncode == 0 and done.stdout.startswith("monty"):
         return None
@@ -135,13 +153,20 @@ _SANDBOX_DATE = datetime(2025, 1, 1, tzinfo=UTC)
 
 
 class Sandbox:
-    """Owns the pool of workers. The pool opens at the first use. A context manager.
+    """Owns the pool of workers. It is a context manager.
 
-    Use it in the process that made it, because a pool does not survive a fork. Sessions may live in different threads.
-    limits: what planner code may use; bubblewrap: see ``make_jail``; workers: maximum number of open sessions.
+    The pool opens at the first use. Use a sandbox only in the process that created it, because a pool does not survive
+    a fork. Sessions may live in different threads.
     """
 
     def __init__(self, limits: SandboxLimits | None = None, *, bubblewrap: bool = True, workers: int = 16) -> None:
+        """Create a sandbox without starting a worker.
+
+        Args:
+            limits: What planner code may use.
+            bubblewrap: Whether to use bubblewrap; see ``make_jail``.
+            workers: The maximum number of open sessions.
+        """
         self.limits = limits or SandboxLimits()
         self._bubblewrap = bubblewrap
         self._workers = workers
@@ -161,31 +186,36 @@ class Sandbox:
 
     @property
     def isolation(self) -> str:
+        """The kind of isolation: ``bubblewrap`` or ``process``."""
         return self._open().isolation
 
     @property
     def note(self) -> str:
-        """One sentence on the isolation, for ``doctor`` and outcomes."""
+        """The isolation in one sentence, for ``doctor`` and outcomes."""
         return self._open().note
 
     def session(
         self, planner: Planner, roads: Mapping[str, Mapping[str, Any]], *, seed: int = 0, type_check: bool = False
     ) -> PlannerSession:
-        """A fresh interpreter with the planner loaded.
+        """Open a session: a fresh interpreter with the planner loaded.
 
-        roads: the ``road`` of each key that calls may name; plain data, sent once. seed: of the planner's ``random``.
-        type_check: whether to type check the text before it runs.
+        Args:
+            planner: The planner.
+            roads: The ``road`` dictionaries by the keys that calls may name. They are plain data and sent once.
+            seed: The seed of the planner's ``random``.
+            type_check: Whether to type check the text before it runs.
 
         Raises:
-            PlannerSyntaxError: the text is not in the subset, or the type check failed.
-            PlannerRuntimeError, PlannerLimitError: its module level failed.
-            SandboxError: no worker is available.
+            PlannerSyntaxError: The text is not in the subset, or the type check failed.
+            PlannerRuntimeError: The planner's module level failed.
+            PlannerLimitError: The planner's module level reached a limit.
+            SandboxError: No worker is available.
         """
         self._open()
         return PlannerSession(self.checkout, self.check_usable, self.limits, planner, roads, seed, type_check)
 
     def close(self) -> None:
-        """Stop the workers. May be called twice."""
+        """Stop the workers. A second call does nothing."""
         with self._lock:
             self._closed = True
             pool, owner, folder = self._pool, self._owner, self._folder
@@ -222,7 +252,7 @@ class Sandbox:
             return jail
 
     def _start(self, program: str) -> None:
-        """Start the pool from one lasting thread: under bubblewrap, workers die with the thread that started them."""
+        """Start the pool from a permanent thread: under bubblewrap, workers die with the thread that started them."""
         from pydantic_monty import Monty
 
         self._pool = Monty(
@@ -244,12 +274,21 @@ class Sandbox:
             raise SandboxError("The sandbox was opened in another process: use it there.")
 
     def checkout(self, seed: int, type_check: bool) -> MontySession:
+        """Take a worker of the pool with an empty interpreter.
+
+        Args:
+            seed: The seed of the interpreter's ``random``.
+            type_check: Whether the interpreter can type check.
+
+        Raises:
+            SandboxError: The sandbox cannot be used, all workers are busy, or the worker does not start.
+        """
         from pydantic_monty import MontyError
 
         with self._lock:
             self.check_usable()
             pool, owner, limits = self._pool, self._owner, self.limits
-        assert pool is not None and owner is not None  # _open came first
+        assert pool is not None and owner is not None  # _open was called before
         session = pool.checkout(
             script_name="planner.py",
             limits={

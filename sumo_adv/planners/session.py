@@ -1,4 +1,4 @@
-"""A session: one planner in one fresh interpreter, its calls, and monty's errors as errors of this program."""
+"""A session runs one planner in one fresh interpreter, and turns monty's errors into errors of this program."""
 
 from __future__ import annotations
 
@@ -28,41 +28,64 @@ if TYPE_CHECKING:
     from pydantic_monty import MontyError, MontySession
 
 
-MAX_STOPPED_CALLS = 3  # by a limit: a quarter of a second each, where an honest call takes about 10 us
-MAX_CALLS_PER_FEED = 256  # a feed has ``call_seconds``, and an honest call takes about 10 us
+MAX_STOPPED_CALLS = 3  # calls stopped by a limit; each takes a quarter of a second, and a normal call about 10 us
+MAX_CALLS_PER_FEED = 256  # a feed may take ``call_seconds``, and a normal call takes about 10 us
 _PLANNER_FILE = "<python-input-1>"  # monty's name for the second feed of a session
 
 Data = Mapping[str, Any]
 Call = tuple[str, Data, Data, Mapping[str, float], float, float]
-"""One call of a planner: key of its road, bv, ego, parameters, acc [m/s2], horizon [s]."""
+"""One call of a planner: the key of its road, bv, ego, parameters, acc [m/s2] and horizon [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class SandboxLimits:
-    """What planner code may use. ``memory`` in bytes of heap, ``output_bytes`` of print in a feed."""
+    """What planner code may use.
 
-    call_seconds: float = 0.25  # a call, or the module level
-    batch_seconds: float = 5.0  # a batch, all its calls together
+    Attributes:
+        call_seconds: The time of one call, or of the module level [s].
+        batch_seconds: The time of all calls of a batch together [s].
+        memory: The size of the heap [bytes].
+        recursion: The depth of recursion.
+        output_bytes: The amount that one feed may print [bytes].
+        suspensions: The number of failed name look-ups and refused system calls in a session.
+        grace_seconds: The time after a limit until the worker is killed [s]. A type check takes 0.1 s, or a second on a
+            busy machine.
+    """
+
+    call_seconds: float = 0.25
+    batch_seconds: float = 5.0
     memory: int = 64 * 1024 * 1024
     recursion: int = 200
     output_bytes: int = 64 * 1024
-    suspensions: int = 100  # failed name look-ups and refused system calls in a session
-    grace_seconds: float = 3.0  # after it a worker is killed; a type check takes .1 s, on a busy machine a second
+    suspensions: int = 100
+    grace_seconds: float = 3.0
 
 
 class PlannerSession:
-    """One planner in one fresh interpreter. A context manager, for one thread at a time.
+    """One planner in one fresh interpreter. It is a context manager, for one thread at a time.
 
     A time limit, a memory limit or a dead worker ends the session. Every further call then raises
-    ``PlannerLimitError``. Only ``endpoints`` starts the session again by itself, with fresh globals.
+    ``PlannerLimitError``. Only ``endpoints`` restarts a session that ends during the call, with fresh globals.
     """
 
     def __init__(
         self, start: Callable[[int, bool], MontySession], usable: Callable[[], None], limits: SandboxLimits,
         planner: Planner, roads: Mapping[str, Data], seed: int, type_check: bool,
     ) -> None:  # fmt: skip
-        """start: an interpreter with nothing in it, for a seed and with or without type checks. usable: raises
-        SandboxError where no interpreter may be used any more."""
+        """Start an interpreter and load the planner.
+
+        Args:
+            start: Returns an empty interpreter for a seed, with or without type checks.
+            usable: Raises SandboxError if interpreters can no longer be used.
+            limits: What planner code may use.
+            planner: The planner.
+            roads: The ``road`` dictionaries by the keys that calls may name.
+            seed: The seed of the planner's ``random``.
+            type_check: Whether to type check the text before it runs.
+
+        Raises:
+            SandboxError: The planner cannot be loaded; see ``Sandbox.session``.
+        """
         self.planner = planner
         self.has_trajectory = read_planner_text(planner.text).has_trajectory
         self._new, self._usable, self._limits = start, usable, limits
@@ -81,11 +104,11 @@ class PlannerSession:
 
     @property
     def worker(self) -> int | None:
-        """Process id of the worker, for tests and diagnosis; None once the session has ended."""
+        """The process id of the worker, for tests and diagnosis; None after the session has ended."""
         return self._session.worker_pid if self._session is not None else None
 
     def close(self) -> None:
-        """Give the worker back. May be called twice."""
+        """Return the worker to the pool. A second call does nothing."""
         from pydantic_monty import MontyError
 
         session, self._session = self._session, None
@@ -98,23 +121,45 @@ class PlannerSession:
     def endpoint(
         self, key: str, bv: Data, ego: Data, parameters: Mapping[str, float], acc: float, horizon: float
     ) -> dict[str, float]:
-        """Call the planner once: x, y [m], heading [rad], speed [m/s], time [s], finite and in range, in its frame.
+        """Call the planner's ``endpoint`` once.
 
-        Raises PlannerRuntimeError, PlannerLimitError, PlannerResultError: the call failed, was stopped, or returned
-        something else.
+        Args:
+            key: The key of the vehicle's road.
+            bv: What the planner observes of the background vehicle.
+            ego: What the planner observes of the ego.
+            parameters: The planner's parameter values, by name.
+            acc: The intended acceleration [m/s2].
+            horizon: The planning horizon [s].
+
+        Returns:
+            x, y [m], heading [rad], speed [m/s] and time [s], by name, in the planner's frame. All are finite and in
+            range.
+
+        Raises:
+            PlannerRuntimeError: The call failed.
+            PlannerLimitError: The call was stopped.
+            PlannerResultError: The call returned something else.
         """
         self._known(key)
         call = (key, bv, ego, parameters, acc, horizon)
         return check_endpoint(self._subject, self._feed(f"one_{self._id}(call_{self._id})", {f"call_{self._id}": call}))
 
     def endpoints(self, calls: Sequence[Call]) -> list[dict[str, float] | SandboxError]:
-        """Call the planner for many states, up to ``MAX_CALLS_PER_FEED`` of them in one feed.
+        """Call the planner's ``endpoint`` for many states, up to ``MAX_CALLS_PER_FEED`` of them in one feed.
 
-        A call that fails runs once more by itself, and its error stands at its place. The other calls keep their
-        results. The batch takes at most ``batch_seconds`` and one call's limit, and ends once ``MAX_STOPPED_CALLS``
-        calls have run into a limit; after that, calls become ``PlannerLimitError``.
+        A call that fails in a feed runs once more by itself. If it fails again, its error takes the place of its
+        result. The other calls keep their results. The batch takes at most ``batch_seconds`` plus one call's limit. It
+        ends early after ``MAX_STOPPED_CALLS`` calls have reached a limit. The remaining calls then yield
+        ``PlannerLimitError``.
 
-        Raises PlannerLimitError: the session had ended before.
+        Args:
+            calls: The calls.
+
+        Returns:
+            The result of each call, as ``endpoint`` returns it, or its error.
+
+        Raises:
+            PlannerLimitError: The session had already ended.
         """
         self._alive()
         deadline = time.monotonic() + self._limits.batch_seconds
@@ -135,10 +180,23 @@ class PlannerSession:
     def trajectory(
         self, key: str, bv: Data, endpoint: Mapping[str, float], dt: float
     ) -> list[tuple[float, float, float, float]]:
-        """The planner's own trajectory: at most ``MAX_TRAJECTORY_STATES`` (x, y, heading, speed), ``dt`` [s] apart.
+        """Call the planner's ``trajectory`` once.
 
-        The first state is ``dt`` from now, or now if it is at the vehicle's place (``follower.aligned``). Raises as
-        ``endpoint``, also where the planner defines none, or where it begins elsewhere or jumps.
+        Args:
+            key: The key of the vehicle's road.
+            bv: What the planner observes of the background vehicle.
+            endpoint: The endpoint that the planner returned.
+            dt: The time between two states [s].
+
+        Returns:
+            At most ``MAX_TRAJECTORY_STATES`` states: x, y [m], heading [rad] and speed [m/s]. The first state is ``dt``
+            from now, or now if it is at the vehicle's place (``follower.starting_now``).
+
+        Raises:
+            PlannerRuntimeError: The call failed.
+            PlannerLimitError: The call was stopped.
+            PlannerResultError: The planner defines no trajectory, it begins away from the vehicle, it jumps, or the
+                call returned something else.
         """
         if not self.has_trajectory:
             raise PlannerResultError(f"{self._subject} defines no trajectory(): use the built-in one.")
@@ -170,7 +228,7 @@ class PlannerSession:
             )
 
     def _feed(self, code: str, inputs: dict[str, Any], *, loading: bool = False) -> Any:
-        """Run one snippet. Raises SandboxError, and closes the session if it has ended."""
+        """Run one snippet. If it fails, raise SandboxError, and close the session if it has ended."""
         from pydantic_monty import MontyConversionError, MontyError
 
         session = self._alive()
@@ -194,7 +252,7 @@ class PlannerSession:
             raise translated from None
 
     def _many(self, calls: Sequence[Call], deadline: float) -> list[Any]:
-        """The planner's result for each call, None where the call failed."""
+        """Call the planner for each call in one feed; the result of a failed call is None."""
         nothing: list[Any] = [None] * len(calls)
         if time.monotonic() >= deadline or self._session is None:
             return nothing
@@ -231,11 +289,12 @@ class _Prints:
             raise RuntimeError("too much output")
 
 
-MEASURED_TIME = re.compile(r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)")  # which differs between runs, and its limit
+# A measured time, which differs between runs, and its limit
+MEASURED_TIME = re.compile(r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)")
 
 
 def _translate(error: MontyError, subject: str, loading: bool) -> tuple[SandboxError, bool]:
-    """Monty's error as one of this program, and whether it ended the session."""
+    """Turn an error of monty into one of this program, and tell whether it ended the session."""
     from pydantic_monty import MontyRuntimeError, MontySyntaxError, MontyTypingError
 
     message = MEASURED_TIME.sub(r"more than \1", printable_line(str(error)))
@@ -258,13 +317,13 @@ def _translate(error: MontyError, subject: str, loading: bool) -> tuple[SandboxE
 
 
 def _line(error: Any) -> str:
-    """The innermost line of the planner's own text, as words."""
+    """Name the innermost line of the planner's own text in words."""
     lines = [frame.line for frame in error.traceback() if frame.filename == _PLANNER_FILE]
     return f", line {lines[-1]}," if lines else ""
 
 
 def _plain(value: Any) -> Any:
-    """Numpy's numbers and arrays, and mappings of any kind, as data that monty takes. Raises SandboxError."""
+    """Convert numpy's numbers and arrays, and mappings, to data that monty accepts, or raise SandboxError."""
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, Mapping):

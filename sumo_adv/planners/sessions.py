@@ -1,9 +1,9 @@
-"""The sessions of many proposals: one for each planner, asked about many vehicles and moments at once.
+"""The sessions of many proposals: one session per planner, called for many vehicles and times at once.
 
-Trusted planners answer in this process: the same answers, about 20 times as fast. Trusted are the shipped texts, listed
-in ``TRUSTED``. The table ``PARAMETERS`` and the word ``MOVEMENT`` may differ, since versions of a planner differ in
-them; the table is read and never run. Every other text of a bank or a model runs in the sandbox. A trusted planner that
-fails here runs there too, for the sandbox's error message.
+Trusted planners run in this process. They give the same answers about 20 times as fast. The shipped texts, listed in
+``TRUSTED``, are trusted. The table ``PARAMETERS`` and the word ``MOVEMENT`` may differ, because versions of a planner
+differ in them. The table is read and never run. Every other text of a bank or a model runs in the sandbox. If a trusted
+planner fails in this process, it is run in the sandbox for the sandbox's error message.
 """
 
 from __future__ import annotations
@@ -59,15 +59,19 @@ TRUSTED = frozenset(
         "4283ecf2a54fa972c12c8dbeb66c821855f5eeb135b5aa656e83d1dbd6da3485",  # pass, of supports
     }
 )
-"""Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py`` and ``search/intents.py``. They
-are listed here so that no bank can claim to be trusted."""
+"""Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py`` and ``search/intents.py``. This list
+is part of the code so that no bank can claim to be trusted."""
 
 ENDPOINT_VALUES = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
 
 
 def body(text: str) -> str:
-    """A planner's text after its table. Raises PlannerSyntaxError."""
+    """Return a planner's text after its table.
+
+    Raises:
+        PlannerSyntaxError: The text is not a planner.
+    """
     read_planner_text(text)  # the table is the first statement
     tree = ast.parse(text)
     table = next(node for node in tree.body if not isinstance(node, ast.Expr))
@@ -77,7 +81,11 @@ def body(text: str) -> str:
 
 
 def fingerprint(text: str) -> str:
-    """SHA-256 of the body of a planner's text, equal for all movements. Raises PlannerSyntaxError."""
+    """Return the SHA-256 of the body of a planner's text. It is equal for all movements.
+
+    Raises:
+        PlannerSyntaxError: The text is not a planner.
+    """
     return hashlib.sha256(MOVEMENT.sub('MOVEMENT = "any"', body(text)).encode()).hexdigest()
 
 
@@ -90,21 +98,30 @@ def _is_trusted_text(text: str) -> bool:
 
 
 def is_trusted(planner: Planner) -> bool:
-    """Whether the planner's text is a shipped one, apart from its numbers and its movement."""
+    """Return whether the planner's text is a shipped one, apart from its parameter table and its movement."""
     return _is_trusted_text(planner.text)
 
 
 class InProcessSession:
-    """Answers as a ``PlannerSession`` does, for a trusted planner. It runs the body alone, the part that was compared.
+    """Runs a trusted planner in this process, with the interface of a ``PlannerSession``.
 
-    ``open_sandboxed`` opens a session in the sandbox. That session answers once a call has failed here.
-
-    Raises SandboxError: the planner is not trusted.
+    It runs only the body of the text, which is the part that the fingerprint covers.
     """
 
     def __init__(
         self, planner: Planner, roads: Mapping[str, Mapping[str, Any]], open_sandboxed: Callable[[], PlannerSession]
     ) -> None:
+        """Load the planner.
+
+        Args:
+            planner: The planner.
+            roads: The ``road`` dictionaries by the keys that calls may name.
+            open_sandboxed: Opens a session in the sandbox. After a call has failed in this process, that session
+                answers all calls.
+
+        Raises:
+            SandboxError: The planner is not trusted.
+        """
         self._subject = subject_of(planner)
         if not is_trusted(planner):
             raise SandboxError(f"{self._subject} is not trusted: run it in the sandbox.")
@@ -112,17 +129,19 @@ class InProcessSession:
         self._sandboxed: PlannerSession | None = None
 
     def close(self) -> None:
-        """Close the session in the sandbox, if there is one. May be called twice."""
+        """Close the session in the sandbox, if there is one. A second call does nothing."""
         if self._sandboxed is not None:
             self._sandboxed.close()
 
     def endpoint(self, *call: Any) -> dict[str, float]:
+        """Call the planner once; see ``PlannerSession.endpoint``."""
         (answer,) = self.endpoints([call])
         if isinstance(answer, SandboxError):
             raise answer
         return answer
 
     def endpoints(self, calls: Sequence[Call]) -> list[dict[str, float] | SandboxError]:
+        """Call the planner for many states; see ``PlannerSession.endpoints``."""
         if self._sandboxed is None:
             try:
                 return [self._answer(call) for call in calls]
@@ -140,10 +159,15 @@ ROAD_KEY = "road"
 
 
 def ask_trusted(proposal: Proposal, situation: Situation, fallback: AskOne) -> AskOne:
-    """A function that asks the proposal's planner in this process, without the connections to its sandbox.
+    """Return a function that calls the proposal's planner in this process, without the connections to its sandbox.
 
-    It is ``fallback`` itself if the planner is not trusted or the motion is prescribed. ``fallback`` also answers the
-    calls that fail.
+    Args:
+        proposal: The candidate.
+        situation: The situation of the candidate's encounter.
+        fallback: Answers calls that fail in this process.
+
+    Returns:
+        The function. It is ``fallback`` itself if the planner is not trusted or the motion is prescribed.
     """
     if proposal.course is not None or not is_trusted(proposal.planner):
         return fallback
@@ -173,18 +197,23 @@ def _loaded(text: str) -> Callable[..., Any]:
 
 # -- sessions of proposals ------------------------------------------------------------------------------------------
 
-TRAJECTORY_BATCH_S = 20.0  # for one planner's trajectory() in a batch of predictions
+TRAJECTORY_BATCH_S = 20.0  # time for one planner's trajectory() in a batch of predictions
 
 
 class Roads:
-    """The ``road`` dictionaries of an encounter's BVs, made when first needed; ``situations``: by delay [s]."""
+    """The ``road`` dictionaries of an encounter's BVs. Each is made when it is first needed.
+
+    Attributes:
+        situations: The encounter's situations by delay after the trigger [s].
+    """
 
     def __init__(self, situations: Mapping[float, Situation]) -> None:
+        """Begin without roads."""
         self.situations = situations
         self._made: dict[str, dict[str, Any]] = {}
 
     def of(self, proposals: Iterable[Proposal]) -> dict[str, dict[str, Any]]:
-        """The roads of the proposals' BVs, by :func:`road_key`, without those of BVs that are not in the encounter."""
+        """Return the roads of the proposals' BVs by ``road_key``. BVs that are not in the encounter are left out."""
         by_key = {road_key(p): p for p in proposals if p.bv in self.situations[p.delay].targets}
         for key in by_key.keys() - self._made.keys():
             self._made[key] = planner_road(self.situations[by_key[key].delay], by_key[key].bv)
@@ -192,20 +221,20 @@ class Roads:
 
 
 def road_key(proposal: Proposal) -> str:
-    """The key of a proposal's road in a session: its BV and its delay."""
+    """Return the key of a proposal's road in a session, which consists of its BV and its delay."""
     return f"{proposal.bv} {proposal.delay}"
 
 
 class Sessions:
     """One session for each planner of the proposals. Proposals with a prescribed motion need none.
 
-    failed: planners that failed earlier, as hash -> sentence; they are not asked again. drivable: the road surface that
-    the planners' own trajectories must stay on; None does not check it. in_process: let trusted planners answer in this
-    process. stopped: how many calls of each planner ran into a limit earlier, by hash.
+    It is a context manager that opens and closes the sessions.
 
-    ``failures`` has the planners that failed for all of their proposals, or ran into a limit ``MAX_STOPPED_CALLS``
-    times; ``stopped`` the calls since, too; ``broken`` the proposals that failed, as their place -> sentence, which
-    ``answers`` does not ask again.
+    Attributes:
+        failures: A sentence for each planner that is no longer called, by the planner's hash. These planners failed for
+            all of their proposals or reached a limit ``MAX_STOPPED_CALLS`` times.
+        stopped: The number of calls that reached a limit, including earlier ones, by the planner's hash.
+        broken: A sentence for each proposal that failed, by its index. ``answers`` does not call these again.
     """
 
     def __init__(
@@ -213,6 +242,18 @@ class Sessions:
         failed: Mapping[str, str] | None = None, *, drivable: Drivable | None = None, in_process: bool = False,
         stopped: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
+        """Group the proposals by planner.
+
+        Args:
+            sandbox: Runs planners that are not trusted.
+            roads: The roads of the encounter.
+            proposals: The candidates.
+            seed: The seed of the planners' ``random``.
+            failed: A sentence for each planner that failed earlier, by hash. These planners are not called again.
+            drivable: The road surface that the planners' own trajectories must stay on; None means no check.
+            in_process: Whether trusted planners run in this process.
+            stopped: The number of each planner's calls that reached a limit earlier, by hash.
+        """
         self._roads, self._drivable, self._in_process = roads, drivable, in_process
         self._spent: dict[str, float] = defaultdict(float)  # planner hash -> s in its trajectory()
         self._sandbox, self._seed = sandbox, seed
@@ -246,7 +287,7 @@ class Sessions:
             session.close()
 
     def answer(self, proposal: Proposal, observation: PlannerObservation) -> Answer | str:
-        """The answer of a proposal's planner, or a sentence why there is none."""
+        """Call a proposal's planner once, and return its answer or a sentence that says why there is none."""
         name = proposal.planner.hash
         if name in self.failures:
             return self.failures[name]
@@ -259,7 +300,16 @@ class Sessions:
     def answers(
         self, proposals: Sequence[Proposal], rows: Sequence[int], observations: Sequence[PlannerObservation]
     ) -> list[Answer | None]:
-        """The answers for the proposals at ``rows``; None for the others and where the planner failed."""
+        """Call the planners of many proposals.
+
+        Args:
+            proposals: The candidates.
+            rows: The indices of the candidates whose planners are called.
+            observations: The observation of each candidate.
+
+        Returns:
+            The answer for each candidate. It is None if the candidate is not in ``rows`` or its planner failed.
+        """
         answers: list[Answer | None] = [None] * len(observations)
         rows_of: dict[str, list[int]] = {}
         for k in rows:
@@ -295,11 +345,11 @@ class Sessions:
     def _answer(
         self, proposal: Proposal, observation: PlannerObservation, end: dict[str, float], seconds: float
     ) -> Answer:
-        """An endpoint in the world, with the planner's own trajectory if there is one and it stays on the road.
+        """Make the answer: an endpoint in the world, and the planner's own trajectory if it stays on the road.
 
         Raises:
-            PlannerLimitError: earlier calls of its trajectory() took more than ``seconds``.
-            SandboxError: its trajectory() failed.
+            PlannerLimitError: Earlier calls of the planner's ``trajectory`` took more than ``seconds``.
+            SandboxError: The planner's ``trajectory`` failed.
         """
         situation, planner = self._situation(proposal), proposal.planner
         endpoint, session = world_endpoint(situation, end), self._open[planner.hash]

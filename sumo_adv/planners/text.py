@@ -1,4 +1,4 @@
-"""A planner's text: its form, checked without running it, and the helper functions it may call.
+"""A planner's text: its form, which is checked without running it, and the helper functions that it may call.
 
 A planner is Python text. Its first statement (after comments and a docstring) is a literal table of its parameters::
 
@@ -9,8 +9,8 @@ A planner is Python text. Its first statement (after comments and a docstring) i
         px, py = offset((x, y, heading), ego["length"] + parameters["gap"], 0.0)
         return {"x": px, "y": py, "heading": heading, "speed": speed, "time": horizon}
 
-Each entry is ``(default, low, high, unit, meaning)``. ``trajectory(bv, endpoint, road, dt)`` is optional. The checks
-here give early and clear messages. They protect nothing: that is the task of the sandbox.
+Each entry is ``(default, low, high, unit, meaning)``. ``trajectory(bv, endpoint, road, dt)`` is optional. The checks in
+this module give early and clear messages. They do not protect the program, which is the task of the sandbox.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from sumo_adv.errors import PlannerSyntaxError
 
 MAX_PLANNER_BYTES = 32 * 1024
 MAX_PARAMETERS = 12
-MAX_PARAMETER_VALUE = 1e6  # in SI units: beyond any distance, speed or time of an encounter
+MAX_PARAMETER_VALUE = 1e6  # in SI units; exceeds every distance, speed or time of an encounter
 ENDPOINT_ARGUMENTS = ("bv", "ego", "road", "parameters", "acc", "horizon")
 TRAJECTORY_ARGUMENTS = ("bv", "endpoint", "road", "dt")
 REFUSED_NAMES = frozenset({"exec", "eval", "compile", "globals", "locals", "vars", "dir", "__import__"})
-"""With these a planner could list and rebind the session's own helpers."""
+"""Names with which a planner could list and rebind the session's own helpers."""
 
 HELPERS_TEXT = """\
 Functions that are already there (do not define or import them):
@@ -97,25 +97,50 @@ def wrap(angle: float) -> float: ...
 
 
 class PlannerFacts(NamedTuple):
+    """What a planner's text defines.
+
+    Attributes:
+        parameters: Its parameters.
+        has_trajectory: Whether it defines ``trajectory``.
+    """
+
     parameters: tuple[Parameter, ...]
     has_trajectory: bool
 
 
 def parse_parameters(text: str) -> tuple[Parameter, ...]:
-    """The table at the top of a planner's text. Raises PlannerSyntaxError: the text does not parse, lacks the table or
-    ``endpoint``, or a number is out of its bounds."""
+    """Read the parameter table at the top of a planner's text.
+
+    Raises:
+        PlannerSyntaxError: The text does not parse, lacks the table or ``endpoint``, or a number is out of its bounds.
+    """
     return read_planner_text(text).parameters
 
 
 def make_planner(label: str, mode: str, text: str, origin: str, parent: str | None = None) -> Planner:
-    """A planner from its text. Raises PlannerSyntaxError: as in ``parse_parameters``."""
+    """Make a planner from its text.
+
+    Args:
+        label: The label of the intent.
+        mode: The planner's mode.
+        text: The planner's text.
+        origin: The author: seed, expert, a model's name or person.
+        parent: The planner that this one was derived from, or None.
+
+    Raises:
+        PlannerSyntaxError: The text is not a planner; see ``parse_parameters``.
+    """
     return Planner(label, mode, text, parse_parameters(text), origin, parent)
 
 
 @lru_cache(maxsize=256)
 def read_planner_text(text: str) -> PlannerFacts:
-    """Parse and check a planner's text; nothing of it is run. Raises PlannerSyntaxError: as in ``parse_parameters``;
-    the message names the line if it is known."""
+    """Parse and check a planner's text without running it.
+
+    Raises:
+        PlannerSyntaxError: The text is not a planner; see ``parse_parameters``. The message names the line if it is
+            known.
+    """
     tree = _parse(text)
     body = tree.body[1:] if tree.body and _is_docstring(tree.body[0]) else tree.body
     parameters = tuple(_parameters(_table(body)))
@@ -130,13 +155,16 @@ def read_planner_text(text: str) -> PlannerFacts:
 
 @lru_cache(maxsize=256)
 def uses_acceleration(text: str) -> bool:
-    """Whether a planner's text reads the intent's acceleration, which is its argument ``acc``. Raises
-    PlannerSyntaxError: the text does not parse."""
+    """Return whether a planner's text reads the intent's acceleration, which is its argument ``acc``.
+
+    Raises:
+        PlannerSyntaxError: The text does not parse.
+    """
     return any(isinstance(node, ast.Name) and node.id == "acc" for node in ast.walk(_parse(text)))
 
 
 def _parse(text: str) -> ast.Module:
-    """``ast.parse``, which raises ``PlannerSyntaxError`` for hostile text too."""
+    """Parse a text with ``ast.parse``. Raise ``PlannerSyntaxError`` for all faults, even of hostile text."""
     if not isinstance(text, str) or len(text) > MAX_PLANNER_BYTES:
         raise PlannerSyntaxError(f"The planner must be text of at most {MAX_PLANNER_BYTES} bytes: shorten it.")
     strange = next((c for c in text if (c < " " and c not in "\n\r\t") or "\ud800" <= c <= "\udfff"), None)
@@ -168,7 +196,7 @@ def _is_docstring(node: ast.stmt) -> bool:
 
 
 def _table(body: list[ast.stmt]) -> ast.Dict:
-    """The dict display that the first statement binds to ``PARAMETERS``."""
+    """Return the dict display that the first statement binds to ``PARAMETERS``."""
     match body[:1]:
         case [
             ast.Assign(targets=[ast.Name(id="PARAMETERS")], value=ast.Dict() as table)

@@ -1,16 +1,16 @@
-"""f_traj: from the present motion and an endpoint to smooth, feasible states along a path.
+"""The function f_traj: it turns the present motion and an endpoint into smooth, feasible states along a path.
 
-The same formulas serve a single vehicle in an attempt and many predicted rollouts. The first uses Python floats, which
-saves the overhead of arrays (about 15 us a step). The second uses numpy arrays. ``Scalar`` and ``Batch`` are the two
-sets of operations, and every function takes one of them as ``m``.
+The same formulas serve a single vehicle in an attempt and many predicted rollouts. A single vehicle uses Python floats,
+which saves the overhead of arrays (about 15 us per step). Rollouts use numpy arrays. ``Scalar`` and ``Batch`` are the
+two sets of operations, and every function takes one of them as ``m``.
 
-Longitudinal: the acceleration moves by at most J dt towards that of the cubic to (s_T, v_T) at T. It is bounded by the
-limits, by the bends ahead, by a speed cap and by what people do (``metrics/realism.py``); braking harder than people
-usually do is left to a vehicle in the ego's lane.
+Longitudinal motion: the target acceleration is that of the cubic to (s_T, v_T) at T. The acceleration moves towards it
+by at most J dt per step. Its bounds are the limits, the bends ahead, a speed cap and the usual behaviour of people
+(``metrics/realism.py``). Only a vehicle in the ego's lane may brake harder than people usually do.
 
-Lateral: a quintic in the offset d from the path, stretched until lateral acceleration, slope and jerk are within
-bounds. Its clock runs with the vehicle's speed. So braking in the middle of a lane change slows the move down and does
-not turn the vehicle any further.
+Lateral motion: the offset d from the path follows a quintic, which is stretched until lateral acceleration, slope and
+jerk are within bounds. The quintic's clock runs with the vehicle's speed. So braking in the middle of a lane change
+slows the move down and does not turn the vehicle any further.
 """
 
 from __future__ import annotations
@@ -25,30 +25,33 @@ from sumo_adv.datatypes import Limits
 from sumo_adv.geometry import PATH_STEP_M, Path
 from sumo_adv.metrics.realism import FAST_BOUND_SPEED_M_S, HUMAN_BOUNDS, SLOW_BOUND_SPEED_M_S
 
-FULL_CLOCK_SPEED_M_S = 6.0  # a lateral move of a slower vehicle is planned for this speed, and takes longer
-MAX_CLOCK_RATE = 1.15  # for a vehicle that speeds up during a lateral move
+FULL_CLOCK_SPEED_M_S = 6.0  # the lateral move of a slower vehicle is planned for this speed, and takes longer
+MAX_CLOCK_RATE = 1.15  # reached if a vehicle speeds up during a lateral move
 MIN_LONGITUDINAL_HORIZON_S = 0.8  # shortest horizon of the longitudinal cubic
-USUAL_ACCELERATION_M_S2 = 2.4  # bound of speeding up, as drivers hardly exceed it
-SAME_LATERAL_TARGET_M = 0.12  # a lateral target that moved less keeps the running quintic
-NO_LATERAL_TARGET_M = 1e6  # a lateral target that differs from that of any goal
+USUAL_ACCELERATION_M_S2 = 2.4  # bound of the acceleration, which drivers hardly exceed
+SAME_LATERAL_TARGET_M = 0.12  # if the lateral target moved by less, the running quintic is kept
+NO_LATERAL_TARGET_M = 1e6  # a lateral target that differs from that of every goal
 LATERAL_STRETCH_FACTOR, MAX_LATERAL_STRETCHES = 1.13, 14  # of the quintic's duration
-BEND_SPEED_TIMES_S = (0.3, 0.6, 1.0, 1.5)  # ahead at which the bend speed is read
+BEND_SPEED_TIMES_S = (0.3, 0.6, 1.0, 1.5)  # times ahead at which the bend speed is read
 QUINTIC_SAMPLES = tuple((i + 0.5) / 10 for i in range(10))
 LATERAL_RESERVE_M_S2 = 0.6  # lateral acceleration may grow by this before braking can be eased
 USED_JERK_SHARE = 0.92
-USED_HUMAN_BOUND_SHARE = 0.95  # the human bounds fall with the speed, which is judged after a step
+USED_HUMAN_BOUND_SHARE = 0.95  # the human bounds fall with speed, and they are judged after the step
 
 
 class Scalar:
-    """Operations on floats. ``worst``: the largest of the values at all samples; ``least``: the smallest of those at
-    all times ahead."""
+    """Operations on floats.
+
+    ``worst`` returns the largest of the values at all samples, and ``least`` the smallest of the values at all times
+    ahead.
+    """
 
     minimum, maximum, sqrt, arcsin = min, max, math.sqrt, math.asin
     cos, sin, worst, least = math.cos, math.sin, max, min
 
     @staticmethod
     def where(condition: Any, a: Any, b: Any) -> Any:
-        """``a`` if the condition holds, else ``b``."""
+        """Return ``a`` if the condition holds, and ``b`` otherwise."""
         return a if condition else b
 
     samples: Sequence[Any] = QUINTIC_SAMPLES
@@ -56,7 +59,7 @@ class Scalar:
 
 
 class Batch:
-    """The operations of ``Scalar`` on arrays; ``worst`` and ``least`` are for each vehicle."""
+    """The operations of ``Scalar`` on arrays. ``worst`` and ``least`` return a value for each vehicle."""
 
     minimum, maximum, sqrt, arcsin = np.minimum, np.maximum, np.sqrt, np.arcsin
     cos, sin = np.cos, np.sin
@@ -66,20 +69,31 @@ class Batch:
 
     @staticmethod
     def worst(values: Sequence[Any]) -> Any:
+        """Return each vehicle's largest value at all samples."""
         return values[0].max(axis=0)
 
     @staticmethod
     def least(values: Sequence[Any]) -> Any:
+        """Return each vehicle's smallest value at all times ahead."""
         return values[0].min(axis=0)
 
 
 class Motion(NamedTuple):
-    """The motion of a vehicle along its path. Floats or arrays ``(n,)``.
+    """The motion of a vehicle along its path. The fields are floats, or arrays ``(n,)`` for many vehicles.
 
-    s: station [m]; d, dd, ddd: offset and its time derivatives [m, m/s, m/s2]; v, a: along the track [m/s, m/s2];
-    slope: sine of the angle from the path's heading to the vehicle's; pace: speed at which the quintic's clock runs in
-    real time [m/s]; clock, span: progress and duration of the quintic [s]; c: its coefficients in clock/span;
-    target: the offset at its end [m].
+    Attributes:
+        s: The station [m].
+        d: The offset [m].
+        dd: The time derivative of the offset [m/s].
+        ddd: The second time derivative of the offset [m/s2].
+        v: The speed along the track [m/s].
+        a: The acceleration along the track [m/s2].
+        slope: The sine of the angle from the path's heading to the vehicle's.
+        pace: The speed at which the quintic's clock runs in real time [m/s].
+        clock: The progress of the quintic [s].
+        span: The duration of the quintic [s].
+        c: The coefficients of the quintic in clock/span.
+        target: The offset at the end of the quintic [m].
     """
 
     s: Any
@@ -97,7 +111,14 @@ class Motion(NamedTuple):
 
 
 class PathEndpoint(NamedTuple):
-    """An endpoint in path coordinates: station [m], offset [m], speed [m/s], seconds from now."""
+    """An endpoint in path coordinates.
+
+    Attributes:
+        s: The station [m].
+        d: The offset [m].
+        v: The speed [m/s].
+        time: The time from now [s].
+    """
 
     s: Any
     d: Any
@@ -106,7 +127,7 @@ class PathEndpoint(NamedTuple):
 
 
 class PathRow:
-    """Look-ups on one path for floats."""
+    """Look-ups on one path with floats."""
 
     def __init__(self, path: Path) -> None:
         self._table = list(
@@ -116,7 +137,8 @@ class PathRow:
         self._last = len(self._table) - 1
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """x, y, heading, curvature; the path goes straight on beyond both ends."""
+        """Return x, y [m], heading [rad] and curvature [1/m] at a station [m]. The path continues straight past its
+        ends."""
         u = s / PATH_STEP_M
         i = int(u)
         if u < 0.0 or i >= self._last:
@@ -129,16 +151,27 @@ class PathRow:
         return a[0] * e + b[0] * w, a[1] * e + b[1] * w, a[2] * e + b[2] * w, a[3] * e + b[3] * w
 
     def bend_speed(self, s: float, d: float) -> float:
-        """The speed at which the path can be taken there at an offset d [m/s]; bends are tighter on the inside."""
+        """Return the highest speed for the bends at a station [m] and an offset [m]. Bends are tighter on the inside.
+
+        Returns:
+            The speed [m/s].
+        """
         i = int(s / PATH_STEP_M)
         row = self._table[i if 0 <= i < self._last else (0 if i < 0 else self._last)]
         return row[4] * math.sqrt(max(1.0 - row[3] * d, 0.2))
 
 
 class PathRows:
-    """Look-ups for many vehicles at once: vehicle ``k`` is on path ``row[k]``."""
+    """Look-ups for many vehicles at once. Vehicle ``k`` is on path ``row[k]``.
+
+    Attributes:
+        table: x, y, heading, curvature and speed of all paths, ``(paths, 5, samples)``.
+        last: The index of each path's last sample.
+        row: The index of each vehicle's path, ``(n,)``.
+    """
 
     def __init__(self, paths: Sequence[Path], row: Any) -> None:
+        """Build the table of the paths, and put each vehicle on its path."""
         longest = max(len(p.x) for p in paths)
         columns = [(p.x, p.y, p.heading, p.curvature, p.speed) for p in paths]
         self.table = np.array([[np.pad(a, (0, longest - len(a)), "edge") for a in own] for own in columns])
@@ -148,15 +181,18 @@ class PathRows:
         self._last_output: tuple[Any, Any, Any, Any] = (None, None, None, None)
 
     def on(self, row: Any) -> PathRows:
-        """The same paths for vehicles on the paths ``row``."""
+        """Return the same paths for vehicles on the paths ``row``."""
         rows = object.__new__(PathRows)
         rows.__dict__.update(self.__dict__)
         rows.row = row
         return rows
 
     def at(self, s: Any) -> tuple[Any, Any, Any, Any]:
-        """x, y, heading, curvature; the paths go straight on beyond both ends. The last result is kept, so do not
-        change ``s``, ``row`` or the result in place."""
+        """Return x, y [m], heading [rad] and curvature [1/m] at stations [m], each ``(n,)``.
+
+        The paths continue straight past their ends. The last result is kept, so do not change ``s``, ``row`` or the
+        result in place.
+        """
         if self._last_input[0] is not s or self._last_input[1] is not self.row:
             self._last_input, self._last_output = (s, self.row), self._look_up(s)
         return self._last_output
@@ -173,7 +209,7 @@ class PathRows:
         return x + over * np.cos(h), y + over * np.sin(h), h, np.where(over == 0.0, k, 0.0)
 
     def bend_speed(self, s: Any, d: Any) -> Any:
-        """The speed at which the path can be taken there at an offset d [m/s]; bends are tighter on the inside."""
+        """Return the highest speeds for the bends at stations [m] and offsets [m]; see ``PathRow.bend_speed``."""
         row = self.row
         i = np.minimum(np.maximum((s / PATH_STEP_M).astype(np.intp), 0), self.last[row])
         curvature, speed = self.table[row, 3, i], self.table[row, 4, i]
@@ -181,7 +217,16 @@ class PathRows:
 
 
 def start(m: Any, s: Any, d: Any, slope: Any, v: Any, a: Any) -> Motion:
-    """A motion with the given ``slope``, which levels out to the present offset."""
+    """Begin a motion whose slope levels out to the present offset.
+
+    Args:
+        m: The operations, ``Scalar`` or ``Batch``.
+        s: The station [m].
+        d: The offset [m].
+        slope: The sine of the angle from the path's heading to the vehicle's.
+        v: The speed [m/s].
+        a: The acceleration [m/s2].
+    """
     zero = v * 0.0
     stays = (d, zero, zero, zero, zero, zero)
     still = Motion(s, d, v * slope, zero, v, a, slope, zero + FULL_CLOCK_SPEED_M_S, zero, zero + 1.0, stays, d)
@@ -189,8 +234,18 @@ def start(m: Any, s: Any, d: Any, slope: Any, v: Any, a: Any) -> Motion:
 
 
 def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> Motion:
-    """Start a quintic to the offset ``target`` in ``duration`` seconds, or in more if the bounds need it. Bounds at ten
-    samples: |d''| <= clip(3.6 - v^2 |kappa|, 0.8, 3), |d'| <= 0.28 max(v, 6), |d'''| <= 10."""
+    """Start a quintic to an offset. It takes longer than asked if the bounds require that.
+
+    The bounds at ten samples are |d''| <= clip(3.6 - v^2 |kappa|, 0.8, 3), |d'| <= 0.28 max(v, 6) and |d'''| <= 10. The
+    first two are widened to the present lateral acceleration and slope.
+
+    Args:
+        m: The operations, ``Scalar`` or ``Batch``.
+        motion: The present motion.
+        target: The offset at the end [m].
+        duration: The wanted duration [s].
+        curvature: The curvature kappa of the path [1/m].
+    """
     v = motion.v
     pace = m.maximum(v, FULL_CLOCK_SPEED_M_S)
     rate = m.maximum(v / pace, 0.05)
@@ -205,7 +260,7 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
 
 
 def _long_enough(m: Any, span: Any, move: tuple[Any, Any, Any, Any], most: Any, slope: Any) -> Any:
-    """``span``, or more where the quintics of ``move`` (d0, v0, a0, d1) would be too sharp."""
+    """Return ``span``, or longer durations if the quintics of ``move`` (d0, v0, a0, d1) would be too sharp."""
     if m is Scalar:
         for _ in range(MAX_LATERAL_STRETCHES):
             if not _too_sharp(m, _quintic(*move, span), span, most, slope):
@@ -213,7 +268,7 @@ def _long_enough(m: Any, span: Any, move: tuple[Any, Any, Any, Any], most: Any, 
             span *= LATERAL_STRETCH_FACTOR
         return span
     rows = np.flatnonzero(_too_sharp(m, _quintic(*move, span), span, most, slope))
-    if len(rows):  # for these all durations at once
+    if len(rows):  # try all durations of these vehicles at once
         spans = np.full((MAX_LATERAL_STRETCHES + 1, len(rows)), LATERAL_STRETCH_FACTOR)
         spans[0] = span[rows]
         spans = np.multiply.accumulate(spans)
@@ -227,7 +282,7 @@ def _long_enough(m: Any, span: Any, move: tuple[Any, Any, Any, Any], most: Any, 
 
 
 def _quintic(d0: Any, v0: Any, a0: Any, d1: Any, span: Any) -> tuple[Any, ...]:
-    """Coefficients in u = clock / span of the quintic from (d0, v0, a0) to (d1, 0, 0)."""
+    """Return the coefficients, in u = clock / span, of the quintic from (d0, v0, a0) to (d1, 0, 0)."""
     b, c = v0 * span, a0 * span * span / 2
     h = d1 - d0
     return (
@@ -236,7 +291,8 @@ def _quintic(d0: Any, v0: Any, a0: Any, d1: Any, span: Any) -> tuple[Any, ...]:
 
 
 def _too_sharp(m: Any, c: tuple[Any, ...], span: Any, most: Any, slope: Any) -> Any:
-    """Whether the quintic exceeds the lateral acceleration ``most``, the lateral speed ``slope`` or the jerk bound."""
+    """Return whether the quintic exceeds the lateral acceleration ``most``, the lateral speed ``slope`` or the jerk
+    bound."""
     d1, d2, d3 = [], [], []
     for u in m.samples:
         d1.append(abs(c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))))
@@ -247,7 +303,14 @@ def _too_sharp(m: Any, c: tuple[Any, ...], span: Any, most: Any, slope: Any) -> 
 
 
 def steer(m: Any, motion: Motion, goal: PathEndpoint, curvature: Any) -> Motion:
-    """Aim the lateral motion at a goal; the running quintic goes on if its end hardly moved."""
+    """Aim the lateral motion at a goal. The running quintic continues if its end hardly moved.
+
+    Args:
+        m: The operations, ``Scalar`` or ``Batch``.
+        motion: The present motion.
+        goal: The goal.
+        curvature: The curvature of the path [1/m].
+    """
     moved = abs(goal.d - motion.target) >= SAME_LATERAL_TARGET_M
     if m is Scalar:
         return bend(m, motion, goal.d, goal.time, curvature) if moved else motion
@@ -260,7 +323,7 @@ def steer(m: Any, motion: Motion, goal: PathEndpoint, curvature: Any) -> Motion:
 
 
 def release(motion: Motion) -> Motion:
-    """The motion without a lateral target, so that the next ``steer`` starts a new quintic."""
+    """Remove the lateral target, so that the next ``steer`` starts a new quintic."""
     return motion._replace(target=motion.target * 0.0 + NO_LATERAL_TARGET_M)
 
 
@@ -269,13 +332,13 @@ def _take(values: Any, rows: Any) -> Any:
 
 
 def one_of(motion: Motion, k: int) -> Motion:
-    """The motion of vehicle ``k`` of a batch, in floats."""
+    """Return the motion of vehicle ``k`` of a batch, in floats."""
     fields: list[Any] = [tuple(float(q[k]) for q in f) if isinstance(f, tuple) else float(f[k]) for f in motion]
     return Motion(*fields)
 
 
 def put_back(motion: Motion, rows: Sequence[int], ones: Sequence[Motion]) -> Motion:
-    """The batch with the motions of the vehicles ``rows`` replaced by ``ones`` (floats)."""
+    """Replace the motions of the vehicles ``rows`` of a batch by ``ones``, which are in floats."""
     columns = [
         tuple(np.array(q) for q in zip(*f, strict=True)) if isinstance(f[0], tuple) else np.array(f)
         for f in zip(*ones, strict=True)
@@ -294,10 +357,21 @@ def _put(values: Any, rows: Any, new: Any) -> Any:
 def advance(
     m: Any, motion: Motion, goal: PathEndpoint, road: Any, limits: Limits, cap: Any, dt: float, hard: Any
 ) -> Motion:  # fmt: skip
-    """One step of ``dt`` s towards a goal; ``cap``: the vehicle's highest speed [m/s]; ``hard``: see ``faster``."""
+    """Advance a motion by one step towards a goal.
+
+    Args:
+        m: The operations, ``Scalar`` or ``Batch``.
+        motion: The present motion.
+        goal: The goal.
+        road: The vehicle's path, a ``PathRow`` or ``PathRows``.
+        limits: The limits of the vehicle's motion.
+        cap: The vehicle's highest speed [m/s].
+        dt: The duration of the step [s].
+        hard: Whether the vehicle may brake as hard as the limits allow; see ``faster``.
+    """
     s, v, a = motion.s, motion.v, motion.a
     time = m.maximum(goal.time, MIN_LONGITUDINAL_HORIZON_S)
-    left = goal.s - s + goal.v * (time - goal.time)  # within MIN_LONGITUDINAL_HORIZON_S the goal moves on at its speed
+    left = goal.s - s + goal.v * (time - goal.time)  # up to MIN_LONGITUDINAL_HORIZON_S, the goal moves at its speed
     want = 6.0 * left / (time * time) - (4.0 * v + 2.0 * goal.v) / time
     bounds = []
     for t in m.ahead:
@@ -315,7 +389,13 @@ def advance(
 
 
 def usual(m: Any, signal: str, v: Any) -> Any:
-    """The bound of a signal of the human envelope at a speed ``v`` [m/s]; ``signal``: see ``realism.BOUNDS``."""
+    """Return the bound of a signal of the human envelope that is used at a speed.
+
+    Args:
+        m: The operations, ``Scalar`` or ``Batch``.
+        signal: The signal; see ``realism.HUMAN_BOUNDS``.
+        v: The speed [m/s].
+    """
     slow, fast = HUMAN_BOUNDS[signal]
     share = m.minimum(m.maximum((v - SLOW_BOUND_SPEED_M_S) / (FAST_BOUND_SPEED_M_S - SLOW_BOUND_SPEED_M_S), 0.0), 1.0)
     return USED_HUMAN_BOUND_SHARE * (slow + (fast - slow) * share)
@@ -324,10 +404,21 @@ def usual(m: Any, signal: str, v: Any) -> Any:
 def faster(
     m: Any, v: Any, a: Any, want: Any, lateral: Any, limits: Limits, cap: Any, dt: float, hard: Any
 ) -> tuple[Any, Any]:  # fmt: skip
-    """Speed and acceleration after ``dt`` of a vehicle that wants the acceleration ``want`` [m/s2], within the limits.
+    """Advance the speed and acceleration of a vehicle by one step, within the limits.
 
-    ``lateral``: its lateral acceleration [m/s2], which reduces its grip for braking. ``cap``: its highest speed [m/s].
-    ``hard``: whether it may brake as hard as the limits let it; else as people usually do.
+    Args:
+        m: The operations, ``Scalar`` or ``Batch``.
+        v: The speed [m/s].
+        a: The acceleration [m/s2].
+        want: The wanted acceleration [m/s2].
+        lateral: The lateral acceleration [m/s2], which reduces the grip for braking.
+        limits: The limits of the vehicle's motion.
+        cap: The vehicle's highest speed [m/s].
+        dt: The duration of the step [s].
+        hard: Whether the vehicle may brake as hard as the limits allow. Otherwise, it brakes as people usually do.
+
+    Returns:
+        The speed [m/s] and the acceleration [m/s2] after the step.
     """
     jerk = limits.jerk * USED_JERK_SHARE
     room = cap - v
@@ -342,7 +433,8 @@ def faster(
 
 
 def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any, Any]:
-    """Clock, offset, its two time derivatives and the slope after ``dt``. The slope of a stopped vehicle stays."""
+    """Return the clock, the offset, its two time derivatives and the slope after ``dt``. The slope of a stopped vehicle
+    does not change."""
     rate = m.minimum(v / motion.pace, MAX_CLOCK_RATE)
     clock = m.minimum(motion.clock + rate * dt, motion.span)
     u, c, span = clock / motion.span, motion.c, motion.span
@@ -355,6 +447,6 @@ def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any,
 
 
 def pose(m: Any, motion: Motion, road: Any) -> tuple[Any, Any, Any]:
-    """x, y [m] and heading [rad] of a motion's box centre."""
+    """Return x, y [m] and heading [rad] of a motion's box centre."""
     x, y, h, _ = road.at(motion.s)
     return x - motion.d * m.sin(h), y + motion.d * m.cos(h), h + m.arcsin(motion.slope)

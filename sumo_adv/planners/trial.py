@@ -1,4 +1,4 @@
-"""The trial of a planner: its answers in made-up situations, before it enters a bank and in ``memory verify``."""
+"""Try a planner in synthetic situations, before it enters a bank and in ``memory verify``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.planners.session import Call, PlannerSession
 
-# -- made-up situations ---------------------------------------------------------------------------------------------
+# -- synthetic situations -------------------------------------------------------------------------------------------
 
 TRIAL_LENGTH_M, TRIAL_WIDTH_M, TRIAL_LANE_WIDTH_M = 5.0, 1.8, 3.2
 TRIAL_HORIZON_S = 8.0
@@ -29,24 +29,25 @@ TRIAL_EGO_SPEEDS_M_S = {"standing": 0.0, "slow": 4.0, "fast": 24.0}  # of the eg
 CONFLICT_STATION_M = 45.0  # along the ego's path: where crossing and merging ways meet it
 
 LANE_PLACES_M = {"leader": (18.0, 0.0), "follower": (-16.0, 0.0), "neighbour": (4.0, 3.2), "oncoming": (0.0, 3.2)}
-"""Ahead and to the left, along the ego's path. An oncoming BV is farther ahead: they meet at ``CONFLICT_TIME_S``."""
+"""The BV's distance ahead of the ego and to its left [m], along the ego's path. An oncoming BV is farther ahead, so
+that the two meet at ``CONFLICT_TIME_S``."""
 
 CONFLICT_TIME_S = 6.0
 
 UNPROTECTED_SIZES_M = {
     "pedestrian": (0.5, 0.5), "pedestrian_hidden": (0.5, 0.5), "cyclist": (1.8, 0.6), "cyclist_hidden": (1.8, 0.6),
 }  # fmt: skip
-"""m, of the road users that are no vehicles. They are ``UNPROTECTED_OFFSET_M`` metres beside the ego's path."""
+"""Length and width [m] of pedestrians and cyclists. They are ``UNPROTECTED_OFFSET_M`` metres beside the ego's path."""
 
 UNPROTECTED_OFFSET_M = 4.0
 
 CROSSING_ANGLES_RAD = {"crossing_straight": 1.57, "crossing_left": 2.2, "crossing_right": 0.7, "merging": 0.25}
-"""rad: the BV's heading at the conflict, relative to the ego's path there."""
+"""The BV's heading at the conflict, relative to the ego's path there [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """One call's ``bv``, ``ego`` and ``road``."""
+    """One synthetic situation: the ``bv``, ``ego`` and ``road`` of a call."""
 
     name: str
     bv: dict[str, Any]
@@ -58,6 +59,7 @@ Pose = tuple[float, float, float]
 
 
 def probes(relation: str) -> list[Probe]:
+    """Make the synthetic situations of a relation, which vary road shape, ego speed and time after the trigger."""
     make = _small if relation in UNPROTECTED_SIZES_M else _crossing if relation in CROSSING_ANGLES_RAD else _lane
     return [
         make(f"{relation}, {pace}, {shape}, after {time:.0f} s", relation, curvature, speed, time)
@@ -68,7 +70,16 @@ def probes(relation: str) -> list[Probe]:
 
 
 def on_arc(station: float, left: float, curvature: float) -> Pose:
-    """The pose beside a path that begins at the origin along x."""
+    """Return the pose beside a path that begins at the origin along x.
+
+    Args:
+        station: The station on the path [m].
+        left: The offset to the left [m].
+        curvature: The curvature of the path [1/m].
+
+    Returns:
+        x, y [m] and heading [rad].
+    """
     turned = station * curvature
     x = math.sin(turned) / curvature if curvature else station
     y = (1.0 - math.cos(turned)) / curvature if curvature else 0.0
@@ -110,7 +121,7 @@ def _lane(name: str, relation: str, curvature: float, speed: float, time: float)
 def _meeting(
     kind: str, movement: str, junction: float, angle: float, away: float, points: int, curvature: float
 ) -> tuple[dict[str, Any], Callable[[float], Pose]]:
-    """A way that begins ``away`` metres from where it meets the ego's path, and its pose after some metres."""
+    """Make a way that begins ``away`` metres before it meets the ego's path, and a function for poses on it."""
     cx, cy, ch = on_arc(CONFLICT_STATION_M, 0.0, curvature)
     heading = wrap(ch + angle)
     c, s = math.cos(heading), math.sin(heading)
@@ -127,7 +138,7 @@ def _meeting(
 
 
 def _arrival(speed: float, time: float) -> float:
-    """Seconds until the ego is where the ways meet."""
+    """Return the time until the ego is where the ways meet [s]."""
     left = CONFLICT_STATION_M - speed * time
     return left / max(speed, 3.0) if left <= 0 else (left / speed if speed > 2.8 else NO_ARRIVAL_S)
 
@@ -150,7 +161,7 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
 
 
 def _small(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
-    """A pedestrian that stands beside the road at first, or a cyclist that rides along it; both may cross."""
+    """Place a pedestrian who stands beside the road at first, or a cyclist who rides along it. Both may cross."""
     cyclist = relation.startswith("cyclist")
     across, at = _meeting("crossing", "across", NO_ARRIVAL_S, math.pi / 2, UNPROTECTED_OFFSET_M, 15, curvature)
     along = [list(on_arc(CONFLICT_STATION_M + 2.0 * i, -UNPROTECTED_OFFSET_M, curvature)[:2]) for i in range(60)]
@@ -198,19 +209,28 @@ def _road(
 
 # -- the trial ------------------------------------------------------------------------------------------------------
 
-ENDPOINT_REACH_M, ENDPOINT_REACH_SPEED_M_S = 20.0, 60.0  # an endpoint may be this far away, and farther by this speed
-MAX_ROAD_DISTANCE_M, ROAD_DISTANCE_PER_METRE = 10.0, 0.5  # from every centreline: bends may be cut
+# An endpoint may be this far away, plus this speed times its time
+ENDPOINT_REACH_M, ENDPOINT_REACH_SPEED_M_S = 20.0, 60.0
+# An endpoint may be this far from every centreline, plus this share of its distance, because bends may be cut
+MAX_ROAD_DISTANCE_M, ROAD_DISTANCE_PER_METRE = 10.0, 0.5
 TRIAL_ACCELERATIONS_M_S2 = (0.0, -6.0)
 
 
 def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str], *, type_check: bool = False) -> str | None:
-    """None if the planner passes in every situation of the relations, else one sentence on its first fault.
+    """Try a planner in every synthetic situation of its relations.
 
-    The planner must load. Its endpoints must pass the sandbox's checks with all parameters at their defaults, low and
-    high ends, be within reach and near the road, and not depend on the order of the calls. Its own ``trajectory``, if
-    it defines one, must pass the sandbox's checks.
+    The planner must load. Its endpoints must pass the sandbox's checks with all parameters at their defaults, low ends
+    and high ends. They must be within reach and near the road, and must not depend on the order of the calls. If the
+    planner defines its own ``trajectory``, that must pass the sandbox's checks in a dozen of the situations.
 
-    ``type_check``: type check its text too.
+    Args:
+        sandbox: Runs the planner.
+        planner: The planner.
+        applies: The relations in which the planner is tried.
+        type_check: Whether to type check the planner's text.
+
+    Returns:
+        None if the planner passes, or otherwise a sentence on its first fault.
     """
     situations = [probe for relation in applies for probe in probes(relation)]
     roads = {probe.name: probe.road for probe in situations}
@@ -218,7 +238,7 @@ def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str], *, type_ch
     calls = [call for _, call in named]
     try:
         with sandbox.session(planner, roads, type_check=type_check) as session:
-            # one call first: a planner that never ends costs its time limit once, and not in each call
+            # Make one call first, so that a planner that never ends uses its time limit only once
             if (failure := _failure(session, calls[0])) is not None:
                 return f"In the situation {named[0][0]!r}: {failure}"
             forth = session.endpoints(calls)
@@ -236,7 +256,7 @@ def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str], *, type_ch
 
 
 def trier(sandbox: Sandbox) -> Callable[[Any, Planner], str | None]:
-    """``trial`` as a function of an intent's record and a planner, for ``exchange.import_bank``."""
+    """Return ``trial`` as a function of an intent's record and a planner, for ``exchange.import_bank``."""
     return lambda intent, planner: trial(sandbox, planner, intent.applies)
 
 
@@ -279,7 +299,7 @@ def _fault(call: Call, road: Mapping[str, Any], answer: dict[str, float] | Sandb
 def _own_trajectory(
     session: PlannerSession, named: Sequence[tuple[str, Call]], answers: Sequence[dict[str, float] | SandboxError]
 ) -> str | None:
-    """None, or a sentence on a fault of the planner's own trajectory in a dozen of the situations."""
+    """Return a sentence on a fault of the planner's own trajectory in a dozen of the situations, or None."""
     for (name, call), endpoint in list(zip(named, answers, strict=True))[:: max(1, len(named) // 12)]:
         assert isinstance(endpoint, dict)  # failures were returned before
         try:

@@ -1,4 +1,4 @@
-"""What each lane of a network leads to and lies beside; lanes under numbers, as exports and CommonRoad need them."""
+"""Links between the lanes of a network, and lanes with numbers as exports and CommonRoad need them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from sumo_adv.geometry import wrap
 from sumo_adv.simulation.network import NetworkLane, RoadMap
 
 OPPOSITE_SEARCH_DISTANCE_M = 12.0  # from the middle of a lane to the lane across the centre line
-MIN_OPPOSITE_TURN_RAD = 2.6  # between the directions of two lanes that lead opposite ways
-MAX_OPPOSITE_GAP_M = 0.5  # between the boundaries of two lanes that share their centre line
-MAX_OPPOSITE_LENGTH_DIFFERENCE_M = 10.0  # of two such lanes; in a bend the outer one is longer
+MIN_OPPOSITE_TURN_RAD = 2.6  # between the directions of two opposite lanes
+MAX_OPPOSITE_GAP_M = 0.5  # between the boundaries of two lanes that share a centre line
+MAX_OPPOSITE_LENGTH_DIFFERENCE_M = 10.0  # between two such lanes; in a bend, the outer one is longer
 
 
 class Linked(Protocol):
-    """A lane's links, as ids of lanes."""
+    """An object with a lane's links as lane ids; see ``LaneLinks``."""
 
     @property
     def successors(self) -> Sequence[str]: ...
@@ -48,12 +48,13 @@ class LaneLinks:
     """The links of one lane.
 
     Attributes:
-        successors: The lanes that follow, through junctions lane by lane.
-        predecessors: The lanes that it follows.
+        successors: The lanes that follow this lane. On junctions, they are the junction's internal lanes.
+        predecessors: The lanes that lead to this lane.
         left: The next lane of the same edge to the left; None if there is none.
-        right: The same to the right.
-        opposite_left: The lane of the opposite direction that shares its left boundary; None if there is none.
-        opposite_right: The same of its right boundary, as in left-hand traffic.
+        right: The next lane of the same edge to the right; None if there is none.
+        opposite_left: The lane of the opposite direction that shares the left boundary; None if there is none.
+        opposite_right: The lane of the opposite direction that shares the right boundary, as in left-hand traffic; None
+            if there is none.
     """
 
     successors: tuple[str, ...]
@@ -65,15 +66,20 @@ class LaneLinks:
 
 
 class LaneGraph:
-    """The links of a network's lanes. Each is found when it is first asked for, and kept."""
+    """The links of a network's lanes. A lane's links are computed at the first request and kept."""
 
     def __init__(self, road: RoadMap) -> None:
+        """Begin without links.
+
+        Args:
+            road: The network.
+        """
         self._road = road
         self._links: dict[str, LaneLinks] = {}
         self._across: dict[str, NetworkLane | None] = {}
 
     def links(self, lane: NetworkLane) -> LaneLinks:
-        """The links of one of the network's lanes."""
+        """Return the links of one of the network's lanes."""
         if lane.id not in self._links:
             row = self._road.edges[lane.edge]
             right = row[lane.index - 1] if lane.index > 0 else None
@@ -101,7 +107,7 @@ class LaneGraph:
         return {name: list(after) for name, after in successors.items()}, predecessors
 
     def _opposite(self, lane: NetworkLane) -> str | None:
-        """The lane of the opposite direction that shares a lane's inner boundary: each is across from the other."""
+        """Find the lane of the opposite direction that shares a lane's inner boundary. The relation is mutual."""
         other = self._lane_across(lane)
         return other.id if other is not None and self._lane_across(other) is lane else None
 
@@ -111,7 +117,7 @@ class LaneGraph:
         return self._across[lane.id]
 
     def _find_across(self, lane: NetworkLane) -> NetworkLane | None:
-        """The lane that touches the inner boundary at the middle of a lane and leads the opposite way."""
+        """Find the opposite lane that touches the inner boundary of a lane at the lane's middle."""
         if not self._is_innermost(lane):
             return None
         x, y, heading = lane.point_at(lane.length / 2)
@@ -129,24 +135,24 @@ class LaneGraph:
         return None
 
     def _is_innermost(self, lane: NetworkLane) -> bool:
-        """Whether no lane of its edge lies between it and the centre line; junctions have no centre line."""
+        """Return whether no lane of its edge lies between a lane and the centre line; junctions have no centre line."""
         return not lane.internal and self._road.edges[lane.edge][-1 if self._road.hand > 0 else 0] == lane.id
 
 
 @dataclass(frozen=True, slots=True)
 class NumberedLane:
-    """A lane under a number.
+    """A lane with a number. Its links are numbers of lanes, or None if there is no such lane or it has no number.
 
     Attributes:
-        number: Its own.
-        left: Its left boundary ``(n, 2)`` [m], in the direction of travel.
-        right: Its right boundary.
-        entries: Numbers of the lanes before it.
-        exits: Numbers of the lanes after it.
-        beside_left: The lane beside it to the left that leads the same way; None within junctions.
-        beside_right: The same to the right.
-        opposite_left: The lane of the opposite direction at its left boundary.
-        opposite_right: The same at its right boundary.
+        number: The number of the lane.
+        left: The left boundary in the direction of travel [m], ``(n, 2)``.
+        right: The right boundary in the direction of travel [m], ``(n, 2)``.
+        entries: The lanes that lead to this lane.
+        exits: The lanes that follow this lane.
+        beside_left: The adjacent lane to the left that leads the same way; None within junctions.
+        beside_right: The adjacent lane to the right that leads the same way; None within junctions.
+        opposite_left: The lane of the opposite direction at the left boundary; None within junctions.
+        opposite_right: The lane of the opposite direction at the right boundary; None within junctions.
     """
 
     number: int
@@ -163,15 +169,15 @@ class NumberedLane:
 def numbered_lane(
     number: int, centre: Floats, width: float, *, junction: bool, links: Linked, numbers: Mapping[str, int]
 ) -> NumberedLane:
-    """A lane under a number, linked to those lanes that have one.
+    """Give a lane a number, and link it to the other lanes that have one.
 
     Args:
-        number: Of the lane.
-        centre: Its centreline ``(n, 2)`` [m].
-        width: Of the lane [m].
-        junction: Whether it lies within a junction, where no lane is said to be beside it.
-        links: Its links by id.
-        numbers: The numbers of the lanes that are known, by id.
+        number: The number of the lane.
+        centre: The centreline ``(n, 2)`` [m].
+        width: The width of the lane [m].
+        junction: Whether the lane is within a junction. Such a lane has no adjacent lanes.
+        links: The links of the lane, as lane ids.
+        numbers: The numbers of lanes by id.
     """
 
     def known(lanes: Iterable[str]) -> tuple[int, ...]:
@@ -188,7 +194,12 @@ def numbered_lane(
 
 
 def shifted(line: Floats, offset: float) -> Floats:
-    """A line ``(n, 2)`` moved to the left by ``offset`` [m], each vertex along the mean normal of its segments."""
+    """Shift a line to the left. Each vertex moves along the mean normal of its segments.
+
+    Args:
+        line: The points ``(n, 2)`` [m].
+        offset: The distance to the left [m].
+    """
     along = np.diff(line, axis=0)
     along = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
     mean = np.concatenate([along[:1], along[:-1] + along[1:], along[-1:]])

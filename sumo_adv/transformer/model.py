@@ -1,12 +1,13 @@
 """The network, written once against an array module ``xp``: numpy for inference, jax.numpy for training.
 
-As in HiVT a vehicle first looks at its neighbours at every moment of its history (agent-agent attention). A Transformer
-over time sums its history up, it looks at the lanes (agent-lane attention), and then all vehicles of the scene look at
-each other by their relative poses (global interaction). ``MODE_COUNT`` futures are decoded: each a Laplace
-distribution a step and coordinate, and a logit for how likely it is.
+The structure is that of HiVT. Each vehicle first attends to its neighbours at every time step of its history
+(agent-agent attention). A Transformer over time summarizes its history. Then the vehicle attends to the lanes
+(agent-lane attention), and finally all vehicles of the scene attend to each other by their relative poses (global
+interaction). The network decodes ``MODE_COUNT`` futures. Each has a Laplace distribution per step and coordinate, and a
+logit for its probability.
 
-Unlike HiVT, two displacements make a token, and a decoded future is a smooth curve: the position at constant velocity
-plus a Bernstein polynomial, which is zero now.
+There are two differences from HiVT. Two displacements make a token, and a decoded future is a smooth curve: the
+position at constant velocity plus a Bernstein polynomial that is zero at the present time.
 """
 
 from __future__ import annotations
@@ -37,22 +38,27 @@ from sumo_adv.transformer.scene import (
 )
 
 MODE_COUNT = 6
-EMBEDDING_SIZE, HEAD_COUNT, INNER_SIZE = 64, 4, 256  # of the embeddings, of an attention, of the layers behind it
-TEMPORAL_LAYER_COUNT, GLOBAL_LAYER_COUNT = 4, 3  # layers of the temporal Transformer, of the global interaction
-POSITION_DEGREE, SCALE_DEGREE = 10, 3  # of the polynomials of positions and of log-scales
-MIN_LOG_SCALE, MAX_LOG_SCALE = -3.0, 4.0  # log of a Laplace scale [m]
-UNSEEN_LOGIT = -1e9  # logit of what is not there
+EMBEDDING_SIZE, HEAD_COUNT, INNER_SIZE = 64, 4, 256  # embeddings, attention heads, feed-forward layers
+TEMPORAL_LAYER_COUNT, GLOBAL_LAYER_COUNT = 4, 3  # layers of the temporal Transformer and of the global interaction
+POSITION_DEGREE, SCALE_DEGREE = 10, 3  # degrees of the polynomials of positions and of log-scales
+MIN_LOG_SCALE, MAX_LOG_SCALE = -3.0, 4.0  # bounds of the log of a Laplace scale [m]
+UNSEEN_LOGIT = -1e9  # attention score of absent elements
 VARIANCE_EPSILON = 1e-5  # added to variances
 
 Parameters = Mapping[str, Any]
-"""Weights by name: arrays of numpy or of JAX."""
+"""The network's weights by name: arrays of numpy or JAX."""
 FUTURE_TIMES_S = np.arange(1, FUTURE_COUNT + 1, dtype=np.float32) * np.float32(POSITION_STEP_S)
 SHIPPED_WEIGHTS = Path(__file__).with_name("weights.npz")
 
 
 class Modes(NamedTuple):
-    """Futures in each vehicle's frame. place ``(..., AGENTS, MODES, FUTURE, 2)`` [m]: the most likely positions; scale,
-    alike [m]: of the Laplace distributions; logit ``(..., AGENTS, MODES)``."""
+    """Predicted futures in each vehicle's frame.
+
+    Attributes:
+        place: The most likely positions [m], ``(..., AGENTS, MODES, FUTURE, 2)``.
+        scale: The scales of the Laplace distributions [m], of the same shape.
+        logit: The logits of the futures, ``(..., AGENTS, MODES)``.
+    """
 
     place: Any
     scale: Any
@@ -60,7 +66,15 @@ class Modes(NamedTuple):
 
 
 def bernstein(degree: int, first: int) -> NDArray[np.float32]:
-    """The Bernstein polynomials ``first`` to ``degree`` at the steps of a future, ``(FUTURE, degree + 1 - first)``."""
+    """Evaluate Bernstein polynomials at the steps of a future.
+
+    Args:
+        degree: The degree, which is also the index of the last polynomial.
+        first: The index of the first polynomial.
+
+    Returns:
+        The values, ``(FUTURE, degree + 1 - first)``.
+    """
     t = np.arange(1, FUTURE_COUNT + 1)[:, None] / FUTURE_COUNT
     k = np.arange(first, degree + 1)
     choose = np.array([comb(degree, int(j)) for j in k])
@@ -71,7 +85,14 @@ POSITION_BASIS, SCALE_BASIS = bernstein(POSITION_DEGREE, 1), bernstein(SCALE_DEG
 
 
 def make_parameters(seed: int) -> dict[str, NDArray[np.float32]]:
-    """Fresh weights: Glorot's uniform distribution for matrices, 0 for shifts, 1 for factors of norms."""
+    """Initialize weights.
+
+    Matrices follow Glorot's uniform distribution, shifts are 0, factors of norms are 1, and the embeddings of the class
+    token and of the places in time follow a normal distribution with a standard deviation of 0.02.
+
+    Args:
+        seed: The seed of the random numbers.
+    """
     rng = np.random.default_rng(seed)
     made: dict[str, NDArray[np.float32]] = {}
 
@@ -126,7 +147,13 @@ def make_parameters(seed: int) -> dict[str, NDArray[np.float32]]:
 
 
 def forward(p: Parameters, f: Features, xp: Any = np) -> Modes:
-    """The futures of all vehicles of a scene, or of many (the leading axes of the features)."""
+    """Predict the futures of all vehicles of one scene, or of many scenes.
+
+    Args:
+        p: The weights.
+        f: The features. Leading axes are scenes.
+        xp: The array module, numpy or jax.numpy.
+    """
     state = _embed(p, "state", f.state, xp)
     own = _embed(p, "own", f.own, xp) + state[..., None, :]
     near = _embed(p, "near", f.near, xp)
@@ -187,9 +214,16 @@ def _embed(p: Parameters, name: str, x: Any, xp: Any) -> Any:
 
 
 def _attend(p: Parameters, name: str, x: Any, others: Any, relative: Any, there: Any, xp: Any) -> Any:
-    """What ``x`` ``(..., w)`` gathers from ``others`` ``(..., n, w)`` that are ``there`` ``(..., n)``.
+    """Apply multi-head attention.
 
-    relative: what is added to the keys and values for each pair, None = nothing.
+    Args:
+        p: The weights.
+        name: The name of the layer.
+        x: The elements that attend, ``(..., w)``.
+        others: The elements that they attend to, ``(..., n, w)``.
+        relative: Embeddings of the pairs, which are added to keys and values; None if there are none.
+        there: 1 if the other element is present, 0 if it is absent, ``(..., n)``.
+        xp: The array module.
     """
     heads = (HEAD_COUNT, EMBEDDING_SIZE // HEAD_COUNT)
     q, k, v = _linear(p, f"{name}.q", x), _linear(p, f"{name}.k", others), _linear(p, f"{name}.v", others)
@@ -205,12 +239,12 @@ def _attend(p: Parameters, name: str, x: Any, others: Any, relative: Any, there:
 
 
 def _onward(p: Parameters, name: str, x: Any, xp: Any) -> Any:
-    """The layers behind an attention."""
+    """Apply the feed-forward layers that follow an attention."""
     return _linear(p, f"{name}.2", _relu(_linear(p, f"{name}.1", _norm(p, f"{name}.then", x, xp)), xp))
 
 
 def _gated(p: Parameters, name: str, x: Any, others: Any, relative: Any, there: Any, xp: Any) -> Any:
-    """HiVT's update of ``x``: a gate weighs what was gathered against its own."""
+    """Update ``x`` as in HiVT: a gate weighs the gathered values against its own."""
     normed = _norm(p, f"{name}.norm", x, xp)
     gathered = _attend(p, name, normed, others, relative, there, xp)
     gate = _linear(p, f"{name}.new", gathered) + _linear(p, f"{name}.old", normed)
@@ -221,10 +255,13 @@ def _gated(p: Parameters, name: str, x: Any, others: Any, relative: Any, there: 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """The futures of ``n`` vehicles.
+    """The predicted futures of ``n`` vehicles.
 
-    place ``(n, MODES, FUTURE, 2)``: most likely positions in the world [m]; scale, alike: of the Laplace distributions,
-    along and across each vehicle's heading now [m]; probability ``(n, MODES)``.
+    Attributes:
+        place: The most likely positions in the world [m], ``(n, MODES, FUTURE, 2)``.
+        scale: The scales of the Laplace distributions along and across each vehicle's present heading [m], of the same
+            shape.
+        probability: The probabilities of the futures, ``(n, MODES)``.
     """
 
     place: Floats
@@ -233,14 +270,26 @@ class Predicted:
 
 
 class TransformerPredictor:
-    """A trained network."""
+    """Predicts motion with a trained network."""
 
     def __init__(self, weights: Path = SHIPPED_WEIGHTS) -> None:
-        """Raises UsageError if the file holds no weights of this network."""
+        """Read the weights.
+
+        Args:
+            weights: The file of the weights.
+
+        Raises:
+            UsageError: The file does not contain weights of this network.
+        """
         self._parameters = read_weights(weights)
 
     def predict(self, agents: SceneVehicles, segments: Segments) -> Predicted:
-        """The futures of all vehicles of a scene of at most ``AGENTS``."""
+        """Predict the futures of all vehicles of a scene.
+
+        Args:
+            agents: The vehicles, at most ``MAX_AGENTS``.
+            segments: The lanes around them.
+        """
         n = len(agents.heading)
         modes = forward(self._parameters, scene_features(agents, segments))
         place = to_world(np.asarray(modes.place[:n], float), agents)
@@ -248,19 +297,23 @@ class TransformerPredictor:
 
 
 def softmax(x: Any, xp: Any = np) -> Any:
-    """The softmax over the last axis."""
+    """Compute the softmax over the last axis."""
     weight = xp.exp(x - x.max(axis=-1, keepdims=True))
     return weight / weight.sum(axis=-1, keepdims=True)
 
 
 def write_weights(parameters: Mapping[str, Any], target: Path) -> None:
-    """Write weights in half precision; the same weights are the same bytes."""
+    """Write weights in half precision. Equal weights give equal bytes."""
     half: dict[str, Any] = {name: np.asarray(values, np.float16) for name, values in sorted(parameters.items())}
     write_whole(target, lambda part: np.savez(part, **half))
 
 
 def read_weights(file: Path) -> dict[str, NDArray[np.float32]]:
-    """Weights of this network. Raises UsageError."""
+    """Read weights of this network.
+
+    Raises:
+        UsageError: The file cannot be read, or does not contain weights of this network.
+    """
     shapes = {name: values.shape for name, values in make_parameters(0).items()}
     try:
         with np.load(file, allow_pickle=False) as arrays:

@@ -1,7 +1,7 @@
-"""Local scenes: what the network sees of each vehicle, in the vehicle's own frame.
+"""Local scenes: the network's input for each vehicle, in the vehicle's own frame.
 
-The origin is the vehicle's position now and the x axis its heading, so the features do not change where a scene is
-moved or rotated as a whole (the local regions of HiVT). Lengths are scaled to be near 1.
+The origin is the vehicle's present position, and the x axis points along its heading. So the features do not change if
+a whole scene is moved or rotated (the local regions of HiVT). Lengths are scaled to be near 1.
 
 Citation: Zhou, Ye, Wang, Wu and Lu 2022, "HiVT: Hierarchical Vector Transformer for Multi-Agent Motion Prediction",
 CVPR, pp. 8823-8833.
@@ -22,27 +22,29 @@ from sumo_adv.geometry import stations
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.situation import Signal, Situation
 
-POSITION_STEP_S = 0.1  # between positions
-HISTORY_COUNT, FUTURE_COUNT = 11, 80  # positions: 1.1 s up to now (now included), the next 8 s
-TOKEN_COUNT = (HISTORY_COUNT - 1) // 2  # of two displacements each
+POSITION_STEP_S = 0.1  # time between positions
+HISTORY_COUNT, FUTURE_COUNT = 11, 80  # positions: the last 1 s with the present one, and the next 8 s
+TOKEN_COUNT = (HISTORY_COUNT - 1) // 2  # each token holds two displacements
 MAX_AGENTS = 12  # vehicles of a scene
 MAX_NEIGHBOURS = 8  # neighbours that a vehicle attends to
 MAX_LANE_SEGMENTS = 40  # lane segments that a vehicle attends to
 ROAD_SEGMENT_M, JUNCTION_SEGMENT_M = 12.0, 6.0  # length of a lane segment on roads and on junctions
 DISTANCE_SCALE_M, SPEED_SCALE_M_S = 10.0, 10.0  # scales of the features
-LENGTH_SCALE_M, WIDTH_SCALE_M, LIMIT_SCALE_M_S, LIGHT_DISTANCE_SCALE_M = 5.0, 2.0, 20.0, 50.0  # the same
-AHEAD_SPEED_SCALE_M_S = 6.0  # distances ahead are divided by 1 + speed / this, where lanes are chosen
-BEHIND_DISTANCE_FACTOR = 1.5  # of distances behind a vehicle, where lanes are chosen
-TURNED_PENALTY_M = 5.0  # added for a lane at right angles to the vehicle, where lanes are chosen
-MAX_LANE_DISTANCE_M = 250.0  # farther lanes are left out; 8 s at 31 m/s
+LENGTH_SCALE_M, WIDTH_SCALE_M, LIMIT_SCALE_M_S, LIGHT_DISTANCE_SCALE_M = 5.0, 2.0, 20.0, 50.0  # further scales
+AHEAD_SPEED_SCALE_M_S = 6.0  # distances ahead are divided by 1 + speed / this to choose lanes
+BEHIND_DISTANCE_FACTOR = 1.5  # distances behind a vehicle are multiplied by this to choose lanes
+TURNED_PENALTY_M = 5.0  # added to the distance of a lane at right angles to the vehicle to choose lanes
+MAX_LANE_DISTANCE_M = 250.0  # farther lanes are left out; a vehicle at 31 m/s covers this in 8 s
 
 
 @dataclass(frozen=True, slots=True)
 class Segments:
-    """Pieces of the centre lines of lanes.
+    """Segments of the centre lines of lanes.
 
-    ends: start and end, x0, y0, x1, y1 [m], ``(n, 4)``; about: on a junction, turns left, turns right, gives way, has a
-    traffic light (0 or 1 each), and the speed limit in ``LIMIT_SCALE_M_S``, ``(n, 6)``.
+    Attributes:
+        ends: The start and end of each segment, x0, y0, x1, y1 [m], ``(n, 4)``.
+        about: The properties of each segment, ``(n, 6)``. Five are 0 or 1: the lane is on a junction, turns left, turns
+            right, gives way, has a traffic light. The last is the speed limit in units of ``LIMIT_SCALE_M_S``.
     """
 
     ends: Floats
@@ -51,11 +53,15 @@ class Segments:
 
 @dataclass(frozen=True, slots=True)
 class SceneVehicles:
-    """The vehicles of a scene, now.
+    """The vehicles of a scene at the present time.
 
-    past: box centres [m] of the last ``HISTORY_COUNT`` steps, the last one now, ``(n, HISTORY_COUNT, 2)``, nan where a
-    vehicle was not there; heading [rad], speed [m/s] ``(n,)``; size: length, width [m] ``(n, 2)``; light: see
-    ``light_of``, ``(n, 5)``.
+    Attributes:
+        past: The box centres [m] of the last ``HISTORY_COUNT`` steps, ``(n, HISTORY_COUNT, 2)``. The last one is the
+            present. A position is nan if the vehicle was absent.
+        heading: The headings [rad], ``(n,)``.
+        speed: The speeds [m/s], ``(n,)``.
+        size: The lengths and widths [m], ``(n, 2)``.
+        light: The next traffic lights, ``(n, 5)``; see ``light_of``.
     """
 
     past: Floats
@@ -66,12 +72,19 @@ class SceneVehicles:
 
 
 class Features(NamedTuple):
-    """The network's input: arrays with the leading shape ``(AGENTS,)`` or ``(scenes, AGENTS)``, zero where nothing is.
+    """The network's input. Absent elements are zero.
 
-    own ``(TOKENS, 5)``: two displacements and whether they are known; state ``(8,)``: speed, size, light; near
-    ``(TOKENS, NEAR, 8)``: position, two displacements and size of a neighbour; near_there ``(TOKENS, NEAR)``; lanes
-    ``(LANES, 10)``: start, vector and ``Segments.about``; lanes_there ``(LANES,)``; pairs ``(AGENTS, 4)``: position and
-    direction of every other vehicle; there ``()``: whether there is a vehicle.
+    All arrays have the leading shape ``(AGENTS,)`` or ``(scenes, AGENTS)``, which the shapes below leave out.
+
+    Attributes:
+        own: Two displacements of the vehicle and whether they are known, ``(TOKENS, 5)``.
+        state: The speed, the size and the traffic light, ``(8,)``.
+        near: The position, two displacements and the size of each neighbour, ``(TOKENS, NEAR, 8)``.
+        near_there: Whether the neighbour is present, ``(TOKENS, NEAR)``.
+        lanes: The start, the vector and ``Segments.about`` of each lane segment, ``(LANES, 10)``.
+        lanes_there: Whether the lane segment is present, ``(LANES,)``.
+        pairs: The position and direction of every vehicle of the scene, ``(AGENTS, 4)``.
+        there: Whether the vehicle is present, ``()``.
     """
 
     own: Any
@@ -85,7 +98,14 @@ class Features(NamedTuple):
 
 
 def light_of(signals: Sequence[Signal] | None) -> tuple[float, ...]:
-    """The next traffic light ahead: known, red, yellow, green, scaled distance; None: it is unknown."""
+    """Describe the next traffic light ahead by five numbers.
+
+    Args:
+        signals: The traffic lights ahead; None if they are unknown.
+
+    Returns:
+        Whether the lights are known, whether the next one is red, yellow and green, and its scaled distance.
+    """
     if signals is None:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     if not signals:
@@ -97,8 +117,11 @@ def light_of(signals: Sequence[Signal] | None) -> tuple[float, ...]:
 
 
 def agents_of(situation: Situation) -> tuple[list[str], SceneVehicles]:
-    """The ids and the states of the ego, its possible adversaries and the vehicles that are nearest to it, in this
-    order, ``MAX_AGENTS`` at most."""
+    """Choose the vehicles of a scene: the ego, its possible adversaries, and the vehicles nearest to it, in this order.
+
+    Returns:
+        The ids and the states of at most ``MAX_AGENTS`` vehicles.
+    """
     history = {track.id: track for track in situation.traffic.history}
     states = {s.id: s for s in (situation.ego, *(t.state for t in situation.target_list()))}
     for track in history.values():
@@ -124,7 +147,7 @@ def agents_of(situation: Situation) -> tuple[list[str], SceneVehicles]:
 
 
 def segments_of(road: RoadMap) -> Segments:
-    """All passenger lanes of a network, in pieces."""
+    """Cut all passenger lanes of a network into segments."""
     turns: dict[str, tuple[str, bool, bool]] = {}
     for lane in road.lanes.values():
         for c in lane.connections:
@@ -140,7 +163,11 @@ def segments_of(road: RoadMap) -> Segments:
 
 
 def cut(pieces: Iterable[tuple[Floats, float, Sequence[float]]]) -> Segments:
-    """Segments of polylines ``(n, 2)`` [m], each with the length of its segments [m] and its ``Segments.about``."""
+    """Cut polylines into segments.
+
+    Args:
+        pieces: For each polyline its points ``(n, 2)`` [m], the length of its segments [m] and its ``Segments.about``.
+    """
     ends, about = [], []
     for shape, length, says in pieces:
         station = stations(*shape.T)
@@ -152,11 +179,11 @@ def cut(pieces: Iterable[tuple[Floats, float, Sequence[float]]]) -> Segments:
 
 
 def scene_features(agents: SceneVehicles, segments: Segments) -> Features:
-    """The features of one scene of at most ``MAX_AGENTS`` vehicles."""
+    """Compute the features of one scene of at most ``MAX_AGENTS`` vehicles."""
     n = len(agents.heading)
     turn = _turns(agents.heading)
     here = agents.past[:, -1]
-    apart = (here[None, :, :] - here[:, None, :]) @ turn  # (n, n, 2): of the second in the frame of the first
+    apart = (here[None, :, :] - here[:, None, :]) @ turn  # (n, n, 2): the second vehicle in the frame of the first
     far = np.hypot(*np.moveaxis(apart, 2, 0)) + np.where(np.eye(n, dtype=bool), np.inf, 0.0)
     chosen = np.argsort(far, axis=1, kind="stable")[:, : min(MAX_NEIGHBOURS, n - 1)]
     steps = np.diff(agents.past, axis=1).reshape(n, TOKEN_COUNT, 2, 2)  # displacements in the world
@@ -180,19 +207,19 @@ def scene_features(agents: SceneVehicles, segments: Segments) -> Features:
 
 
 def to_world(points: Floats, agents: SceneVehicles) -> Floats:
-    """Positions ``(n, ..., 2)`` in the vehicles' frames as positions in the world."""
+    """Convert positions ``(n, ..., 2)`` from the vehicles' frames to the world."""
     n = len(agents.heading)
     flat = points.reshape(n, -1, 2) @ np.swapaxes(_turns(agents.heading), 1, 2)
     return np.asarray((flat + agents.past[:, -1][:, None]).reshape(points.shape))
 
 
 def to_local(points: Floats, agents: SceneVehicles) -> Floats:
-    """Positions ``(n, k, 2)`` in the world as positions in the vehicles' frames."""
+    """Convert positions ``(n, k, 2)`` from the world to the vehicles' frames."""
     return np.asarray((points - agents.past[:, -1][:, None]) @ _turns(agents.heading))
 
 
 def _turns(heading: Floats) -> Floats:
-    """Matrices ``(n, 2, 2)`` that take vectors (rows) of the world into the vehicles' frames."""
+    """Return matrices ``(n, 2, 2)`` that rotate row vectors of the world into the vehicles' frames."""
     c, s = np.cos(heading), np.sin(heading)
     return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
 
@@ -200,7 +227,7 @@ def _turns(heading: Floats) -> Floats:
 def _neighbours(
     agents: SceneVehicles, turn: Floats, chosen: Ints, steps: Floats, known_steps: Bools
 ) -> tuple[Floats, Floats]:
-    """``Features.near`` and ``near_there`` of the neighbours ``chosen`` ``(n, k)``.
+    """Compute ``Features.near`` and ``near_there`` of the neighbours ``chosen``, ``(n, k)``.
 
     Positions are those at the end of each token.
     """
@@ -215,7 +242,7 @@ def _neighbours(
 
 
 def _lanes(agents: SceneVehicles, turn: Floats, segments: Segments) -> tuple[Floats, Floats]:
-    """``Features.lanes`` and ``lanes_there``: the segments that count as nearest."""
+    """Compute ``Features.lanes`` and ``lanes_there`` of the segments that count as nearest."""
     here = agents.past[:, -1]
     start = (segments.ends[None, :, :2] - here[:, None]) @ turn  # (n, segments, 2)
     along = (segments.ends[None, :, 2:] - segments.ends[None, :, :2]) @ turn
@@ -234,7 +261,7 @@ def _lanes(agents: SceneVehicles, turn: Floats, segments: Segments) -> tuple[Flo
 
 
 def _filled(values: Floats, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """The array with zeros behind it, in ``shape``."""
+    """Pad an array with zeros to a shape."""
     whole = np.zeros(shape, np.float32)
     whole[tuple(slice(k) for k in values.shape)] = values
     return whole
