@@ -1,8 +1,10 @@
-"""Braking and steering out of a danger, for many encounters: how the reference driver ``manoeuvre`` avoids a collision.
+"""Avoid a collision by braking and steering: the reference driver ``manoeuvre``, for many encounters at once.
 
-It begins 0.8 s after the hazard shows. That is when :class:`~sumo_adv.metrics.reference.cc_human.CcHuman` begins to
-perceive it, 0.4 s before that driver is alarmed.  Some combination of braking (up to 8 m/s2) and a lateral shift (up
-to 3.2 m at a peak of 4.5 m/s2, with at most 6 m/s2 of braking) must touch no vehicle (swept) and stay on the road.
+The hazard shows when :class:`~sumo_adv.metrics.reference.cc_human.CcHuman` begins to perceive it, which is 0.4 s before
+that driver is alarmed. The manoeuvre begins 0.8 s after the hazard shows. It combines braking (up to 8 m/s2) with a
+lateral shift (up to 3.2 m at a peak of 4.5 m/s2, with at most 6 m/s2 of braking). A collision is avoided if one
+combination touches no vehicle (swept between the steps) and stays on the road.
+
 Source: ISO 34502's "reasonably foreseeable and preventable"; the friction circle of 8 m/s2 is that of a dry road.
 """
 
@@ -18,20 +20,27 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.boxes import corners, height_as, touches
 from sumo_adv.metrics.reference.cc_human import PERCEPTION_S
 
-RAMP_S = 0.3  # to full braking
+RAMP_S = 0.3  # time in which braking rises to its full value
 PEAK_LATERAL_M_S2 = 4.5  # of a shift; with 6 m/s2 of braking inside the friction circle of 8
 BRAKING_WITH_SHIFT_M_S2 = (0.0, 3.0, 6.0)
 BRAKING_ALONE_M_S2 = (8.0, 4.0)
 SHIFTS_M = (1.0, -1.0, 2.0, -2.0, 3.2, -3.2)  # left positive
-STEEPEST_SHIFT = 0.4  # lateral over longitudinal motion
-ROAD_TOLERANCE_M = 0.15  # that a corner may be off the road
+STEEPEST_SHIFT = 0.4  # -, lateral per longitudinal motion
+ROAD_TOLERANCE_M = 0.15  # how far a corner may be off the road
 OnRoad = Callable[..., Bools]
-"""Whether points (x, y) of any common shape lie on the drivable area; (x, y, z) where roads have heights."""
+"""Whether points (x, y) of any common shape lie on the drivable area. It gets (x, y, z) if roads have heights."""
 
 
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:
-    """One way out: ``delay`` [s] after the hazard, ``braking`` [m/s2] after ``ramp`` [s], ``shift`` [m] to the left."""
+    """One combination of braking and a lateral shift.
+
+    Attributes:
+        delay: When the manoeuvre begins, counted from the first step of the ego's motion (in ``TABLE``: the alarm) [s].
+        braking: Full deceleration, positive [m/s2].
+        ramp: Time in which the braking rises linearly to ``braking`` [s].
+        shift: Lateral shift, left positive [m].
+    """
 
     delay: float
     braking: float
@@ -40,14 +49,31 @@ class Manoeuvre:
 
 
 def manoeuvres(delay: float) -> tuple[Manoeuvre, ...]:
-    """The combinations tried at one delay, brake-only ones first."""
+    """Return the combinations that are tried at one delay.
+
+    Args:
+        delay: When the manoeuvres begin [s].
+
+    Returns:
+        The manoeuvres. Those that only brake come first.
+    """
     steer = tuple(Manoeuvre(delay, b, RAMP_S, d) for b in BRAKING_WITH_SHIFT_M_S2 for d in SHIFTS_M)
     return tuple(Manoeuvre(delay, b) for b in BRAKING_ALONE_M_S2) + steer
 
 
 def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float, last: Ints | None = None) -> Boxes:
-    """``steps + 1`` states from each row's index on, ``(N, steps + 1)``; straight on at constant speed past the end, or
-    past the step ``last`` ``(N,)``."""
+    """Cut ``steps + 1`` states out of each motion.
+
+    Args:
+        b: N motions, arrays ``(N, T)``.
+        index: The first step of each window ``(N,)``. Windows may reach past the end of the motion.
+        steps: Length of the windows, in steps.
+        dt: Step [s].
+        last: The last step of each motion that counts ``(N,)``; by default the last one there is.
+
+    Returns:
+        The states ``(N, steps + 1)``. Past the last step, a vehicle goes straight on at constant speed.
+    """
     n, end = b.x.shape[0], b.x.shape[1] - 1 if last is None else last[:, None]
     indices = np.asarray(index)[:, None] + np.arange(steps + 1)
     rows = np.arange(n)[:, None]
@@ -61,7 +87,14 @@ def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float, last: In
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """x, y [m], cosine and sine of the heading, each broadcastable to ``(manoeuvres, N, steps + 1)``."""
+    """Poses of the ego in many manoeuvres. The arrays broadcast to ``(manoeuvres, N, steps + 1)``.
+
+    Attributes:
+        x: Box centre [m].
+        y: Box centre [m].
+        cos: Cosine of the heading.
+        sin: Sine of the heading.
+    """
 
     x: Floats
     y: Floats
@@ -70,7 +103,16 @@ class Poses:
 
 
 def poses_of(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> Poses:
-    """Where each manoeuvre takes the vehicle: braking along its own path, then the shift across it."""
+    """Apply manoeuvres to motions: brake along the vehicle's own path, then shift across it.
+
+    Args:
+        own: The unchanged motions ``(N, steps + 1)``.
+        table: The manoeuvres.
+        dt: Step [s].
+
+    Returns:
+        The poses ``(manoeuvres, N, steps + 1)``.
+    """
     step = np.hypot(np.diff(own.x), np.diff(own.y))
     travelled = np.concatenate([np.zeros((len(own.x), 1)), np.cumsum(step, axis=1)], axis=1)
     plans = list(dict.fromkeys((m.delay, m.braking, m.ramp) for m in table))
@@ -84,10 +126,10 @@ def poses_of(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> Poses:
 
 
 def _progress(travelled: Floats, speed: Floats, delay: float, braking: float, ramp: float, dt: float) -> Floats:
-    """Distance along the path ``(N, steps + 1)`` [m]: as it was until ``delay``, then braked, never beyond that.
+    """Return the distance along the path ``(N, steps + 1)`` [m]: unchanged until ``delay``, then braked.
 
-    Braking b reached linearly in r: v = v0 - b t^2 / 2r until r, then v0 - b (t - r/2); integrated in closed form and
-    stopped at standstill.
+    The distance never exceeds the unchanged one. Braking rises linearly to b within r: v = v0 - b t^2 / 2r until r,
+    then v0 - b (t - r/2). It is integrated in closed form and ends at standstill.
     """
     if braking == 0:
         return travelled
@@ -103,7 +145,7 @@ def _progress(travelled: Floats, speed: Floats, delay: float, braking: float, ra
 
 
 def _along(own: Boxes, travelled: Floats, progress: Floats) -> Poses:
-    """Poses at given distances along each row's own path; progress ``(plans, N, steps + 1)``."""
+    """Return the poses at the distances ``progress`` ``(plans, N, steps + 1)`` [m] along each vehicle's own path."""
     n, count = travelled.shape
     spread = float(travelled[:, -1].max()) + 1.0
     rows = np.arange(n)[:, None]
@@ -119,7 +161,7 @@ def _along(own: Boxes, travelled: Floats, progress: Floats) -> Poses:
 
 
 def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Floats, Floats]:
-    """Lateral offset [m] and its slope over the path: a quintic, never steeper than ``STEEPEST_SHIFT``."""
+    """Return the lateral offset [m] and its slope over the path: a quintic, never steeper than ``STEEPEST_SHIFT``."""
     time = np.arange(progress.shape[-1]) * dt
     duration = np.array([[_duration(m.shift)] for m in table])
     u = np.clip((time - np.array([[m.delay] for m in table])) / duration, 0.0, 1.0)
@@ -135,9 +177,21 @@ def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Flo
 def stays_on_road(
     poses: Poses, own: Boxes, table: Sequence[Manoeuvre], clear: Bools, on_road: OnRoad, dt: float
 ) -> Bools:
-    """``(manoeuvres, N)``: the shift keeps the box's corners on the road until 0.5 s after it is complete.
+    """Check that shifts keep the box's corners on the road until 0.5 s after the shift is complete.
 
-    Asked only of shifts that matter: those that avoid where no braking at the same delay does.
+    Only shifts that matter are checked: those that are clear of the adversary although no braking alone with the same
+    delay is.
+
+    Args:
+        poses: Poses of the manoeuvres ``(manoeuvres, N, steps + 1)``.
+        own: The unchanged motions, for the size of the boxes.
+        table: The manoeuvres.
+        clear: Which manoeuvres do not touch the adversary ``(manoeuvres, N)``.
+        on_road: Returns which points are drivable.
+        dt: Step [s].
+
+    Returns:
+        Whether each manoeuvre stays on the road ``(manoeuvres, N)``; True for those that are not checked.
     """
     ok = np.ones(clear.shape, dtype=bool)
     steer, delay = np.array([m.shift != 0 for m in table]), np.array([m.delay for m in table])
@@ -160,19 +214,27 @@ def stays_on_road(
 
 
 def _duration(shift: float) -> float:
-    """Seconds a quintic shift [m] takes at a peak of ``PEAK_LATERAL_M_S2``; any positive number for no shift."""
+    """Return how long a quintic shift [m] takes at a peak of ``PEAK_LATERAL_M_S2`` [s]; 1 for no shift."""
     return float(np.sqrt(5.7735 * abs(shift) / PEAK_LATERAL_M_S2)) or 1.0
 
 
 HAZARD_TO_MANOEUVRE_S = 0.8
 TABLE: tuple[Manoeuvre, ...] = manoeuvres(HAZARD_TO_MANOEUVRE_S - PERCEPTION_S)
-"""The combinations tried, with their delay after the alarm."""
+"""The combinations that are tried. Their delays count from the alarm."""
 
 
 def manoeuvre_poses(ego: Boxes, alarm: Ints, steps: int, dt: float) -> tuple[Boxes, Boxes]:
-    """The ego from the alarm on, ``(N, steps + 1)``, and where ``TABLE`` takes it, ``(len(TABLE), N, steps + 1)``.
+    """Apply ``TABLE`` to the ego's motion.
 
-    ``ego`` ``(N, T)``: its unchanged motion.
+    Args:
+        ego: The ego's unchanged motion ``(N, T)``.
+        alarm: The step of the alarm ``(N,)``.
+        steps: How many steps after the alarm are returned.
+        dt: Step [s].
+
+    Returns:
+        The unchanged ego from the alarm on ``(N, steps + 1)``, and the ego in each manoeuvre
+        ``(len(TABLE), N, steps + 1)``.
     """
     own = window(ego, alarm, steps, dt)
     poses = poses_of(own, TABLE, dt)
@@ -184,8 +246,20 @@ def manoeuvre_poses(ego: Boxes, alarm: Ints, steps: int, dt: float) -> tuple[Box
 def escapes(
     ego: Boxes, adversary: Boxes, alarm: Ints, steps: Ints, dt: float, on_road: OnRoad | None = None
 ) -> tuple[Boxes, Bools]:
-    """The poses of :func:`manoeuvre_poses`, and which of them touch the adversary nowhere (swept) within ``steps``
-    ``(N,)`` after the alarm and stay on the road, ``(len(TABLE), N)``."""
+    """Find the manoeuvres that avoid the adversary.
+
+    Args:
+        ego: The ego's unchanged motion ``(N, T)``.
+        adversary: The adversary's motion ``(N, T')``.
+        alarm: The step of the alarm ``(N,)``.
+        steps: For how many steps after the alarm a contact counts ``(N,)``.
+        dt: Step [s].
+        on_road: Returns which points are drivable; None if all are.
+
+    Returns:
+        The poses of :func:`manoeuvre_poses`, and which of them touch the adversary nowhere (swept between the steps)
+        and stay on the road ``(len(TABLE), N)``.
+    """
     longest = int(steps.max())
     own, poses = manoeuvre_poses(ego, alarm, longest, dt)
     foe = window(adversary, alarm, longest, dt)

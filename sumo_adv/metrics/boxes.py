@@ -1,12 +1,13 @@
 """Oriented boxes: corners, overlap, distance, and first contact between recorded steps.
 
-Overlap is the separating-axis theorem in closed form (Gottschalk, Lin, Manocha 1996). The relative heading's |cos| and
-|sin| give the extent of one box along an axis of the other without corners. Swept contact is conservative advancement
-(Mirtich 1996) with a bound for each axis, so that boxes that do not turn are solved in one or two iterations.
-Boxes that touch overlap. A vehicle that is not there is NaN, which is never in contact.
+Overlap uses the separating-axis theorem in closed form (Gottschalk, Lin, Manocha 1996). |cos| and |sin| of the relative
+heading give the extent of one box along an axis of the other, so no corners are needed. Swept contact uses conservative
+advancement (Mirtich 1996) with a bound for each axis. Boxes that do not turn are solved in one or two iterations.
 
-Height is a fifth axis: boxes whose roads are more than ``LAYER_HEIGHT_M`` apart there are apart (a bridge and what is
-below it). It costs nothing where all is flat.
+Boxes that touch overlap. An absent vehicle is NaN and is never in contact.
+
+Height is a fifth axis: two boxes are apart if the roads under them differ in height by more than ``LAYER_HEIGHT_M``, as
+on a bridge and below it. This check costs nothing if all roads are flat.
 """
 
 from __future__ import annotations
@@ -20,19 +21,26 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
 from sumo_adv.geometry import LAYER_HEIGHT_M, wrap_below_pi
 
-MIN_ADVANCE_SHARE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
-TOUCHING_DISTANCE_M = 1e-9  # below this two boxes touch
+MIN_ADVANCE_SHARE = 1e-3  # -, share of one interval: 0.1 ms of a 0.1 s step
+TOUCHING_DISTANCE_M = 1e-9  # boxes nearer than this touch
 Half = tuple[Floats | float, Floats | float]
-"""Half the length and half the width [m]."""
+"""Half the length and half the width of a box [m]."""
 
 
 def half(b: Boxes) -> Half:
-    """Half the length and half the width [m]."""
+    """Return half the length and half the width [m]."""
     return b.length / 2, b.width / 2
 
 
 def corners(b: Boxes) -> Floats:
-    """Corners ``(..., 4, 2)`` [m]: front left, rear left, rear right, front right (counter-clockwise)."""
+    """Return the corners of boxes.
+
+    Args:
+        b: The boxes, arrays ``(...)``.
+
+    Returns:
+        The corners ``(..., 4, 2)`` [m]: front left, rear left, rear right, front right (counter-clockwise).
+    """
     c, s = np.cos(b.heading), np.sin(b.heading)
     along, across = half(b)
     x = [b.x + i * along * c - j * across * s for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
@@ -43,9 +51,20 @@ def corners(b: Boxes) -> Floats:
 def sat(
     dx: Floats, dy: Floats, ca: Floats, sa: Floats, cb: Floats, sb: Floats, half_a: Half, half_b: Half
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Signed separation [m] along a's length, a's width, b's length, b's width; all <= 0 where the boxes overlap.
+    """Compute the signed separations of two boxes along their four axes.
 
-    dx, dy: centre of b seen from a [m]; ca, sa, cb, sb: cosine and sine of the headings.
+    Args:
+        dx: Centre of b seen from a, in x [m].
+        dy: Centre of b seen from a, in y [m].
+        ca: Cosine of a's heading.
+        sa: Sine of a's heading.
+        cb: Cosine of b's heading.
+        sb: Sine of b's heading.
+        half_a: Half the length and half the width of a [m].
+        half_b: Half the length and half the width of b [m].
+
+    Returns:
+        The separations [m] along a's length, a's width, b's length and b's width. All are <= 0 if the boxes overlap.
     """
     c, s = np.abs(ca * cb + sa * sb), np.abs(sa * cb - ca * sb)
     (la, wa), (lb, wb) = half_a, half_b
@@ -58,35 +77,51 @@ def sat(
 
 
 def axis_separations(a: Boxes, b: Boxes) -> tuple[Floats, Floats, Floats, Floats]:
-    """:func:`sat` for boxes."""
+    """Apply :func:`sat` to boxes."""
     ca, sa, cb, sb = np.cos(a.heading), np.sin(a.heading), np.cos(b.heading), np.sin(b.heading)
     return sat(b.x - a.x, b.y - a.y, ca, sa, cb, sb, half(a), half(b))
 
 
 def separation(a: Boxes, b: Boxes) -> Floats:
-    """The largest of the axis separations [m]: > 0 apart (a lower bound of :func:`gap`), <= 0 overlapping."""
+    """Return the largest of the axis separations [m].
+
+    It is above 0 if the boxes are apart, and then a lower bound of :func:`gap`. It is <= 0 if they overlap.
+    """
     along_a, across_a, along_b, across_b = axis_separations(a, b)
     apart = np.maximum(np.maximum(along_a, across_a), np.maximum(along_b, across_b))
     return apart if flat(a, b) else np.maximum(apart, np.abs(a.z - b.z) - LAYER_HEIGHT_M)
 
 
 def flat(a: Boxes, b: Boxes) -> bool:
-    """Whether heights say nothing: neither has any of its own."""
+    """Return whether heights can be ignored because all boxes have one and the same height."""
     return not np.ndim(a.z) and not np.ndim(b.z) and a.z == b.z
 
 
 def height_as(b: Boxes | Track, change: Callable[[Floats], Floats]) -> Floats | float:
-    """The heights, in the shape of the positions, changed as positions are; a number stays as it is."""
+    """Change the heights of boxes or a track in the way in which their positions are changed.
+
+    Args:
+        b: The boxes or the track.
+        change: Is applied to the heights, broadcast to the shape of the positions.
+
+    Returns:
+        The changed heights; a height that is a single number stays as it is.
+    """
     return change(np.broadcast_to(b.z, b.x.shape)) if np.ndim(b.z) else b.z
 
 
 def overlaps(a: Boxes, b: Boxes) -> Bools:
-    """Whether the boxes touch or overlap, exact, over the broadcast shape."""
+    """Return whether the boxes touch or overlap. The test is exact and covers the broadcast shape."""
     return np.asarray(separation(a, b) <= 0)
 
 
 def touching(a: Boxes, b: Boxes) -> Bools:
-    """As ``overlaps`` but faster if few boxes are near; positions of one shape, sizes broadcast to it."""
+    """Return the same as :func:`overlaps`, but faster if few boxes are near each other.
+
+    Args:
+        a: Boxes.
+        b: Boxes with positions of the same shape as those of ``a``.
+    """
     near = np.asarray(np.hypot(a.x - b.x, a.y - b.y) < half_diagonal(a) + half_diagonal(b))
     touches = np.zeros(near.shape, bool)
     k = np.nonzero(near)
@@ -96,24 +131,35 @@ def touching(a: Boxes, b: Boxes) -> Bools:
 
 
 def half_diagonal(b: Boxes) -> Floats:
-    """The distance of the corners from the centre [m], in the shape of the sizes."""
+    """Return the distance of the corners from the centre [m], in the shape of the sizes."""
     return np.asarray(np.hypot(np.asarray(b.length, float), np.asarray(b.width, float)) / 2)
 
 
 def pick(b: Boxes, k: Any) -> Boxes:
-    """The boxes at an index ``k`` of their positions; sizes then have the positions' shape."""
+    """Return the boxes at an index of their positions.
+
+    Args:
+        b: The boxes.
+        k: Any numpy index into the positions.
+
+    Returns:
+        The boxes. Their sizes have the shape of the positions.
+    """
     length, width = (np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width))
     return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], length, width, height_as(b, lambda z: z[k]))
 
 
 def some_steps(b: Boxes, steps: slice) -> Boxes:
-    """The same boxes ``(..., steps)`` over some of the steps."""
+    """Return the same boxes ``(..., steps)`` at some of the steps."""
     x, y, heading, speed = (v[..., steps] for v in (b.x, b.y, b.heading, b.speed))
     return Boxes(x, y, heading, speed, b.length, b.width, height_as(b, lambda z: z[..., steps]))
 
 
 def gap(a: Boxes, b: Boxes) -> Floats:
-    """Exact box-to-box distance [m], 0 where they overlap: the least corner-to-box distance, both ways round."""
+    """Return the exact distance between the boxes [m], 0 if they overlap.
+
+    It is the minimum distance from a corner of either box to the other box.
+    """
     least = np.minimum(_corner_distance(a, b), _corner_distance(b, a))
     if flat(a, b):
         return np.where(overlaps(a, b), 0.0, np.sqrt(least))
@@ -122,7 +168,7 @@ def gap(a: Boxes, b: Boxes) -> Floats:
 
 
 def _corner_distance(a: Boxes, b: Boxes) -> Floats:
-    """Least squared distance [m2] from a corner of b to the box a."""
+    """Return the minimum squared distance [m2] from a corner of b to the box a."""
     ca, sa = np.cos(a.heading), np.sin(a.heading)
     turn = b.heading - a.heading
     c, s = np.cos(turn), np.sin(turn)
@@ -138,10 +184,17 @@ def _corner_distance(a: Boxes, b: Boxes) -> Floats:
 
 
 def sweep(a: Boxes, b: Boxes) -> Floats:
-    """First contact inside each interval between consecutive steps, ``(..., n - 1)`` for arrays ``(..., n)``.
+    """Find the first contact inside each interval between consecutive steps.
 
-    Returns the fraction in [0, 1] of the interval, inf if there is no contact. Between steps positions and headings run
-    linearly, headings the shorter way. No contact longer than a thousandth of the interval is missed; none is invented.
+    Positions and headings are linear between steps; headings turn the shorter way. A contact that lasts longer than a
+    thousandth of the interval is always found, and no contact is found that does not exist.
+
+    Args:
+        a: Boxes, arrays ``(..., n)``.
+        b: Boxes, arrays ``(..., n)``.
+
+    Returns:
+        The time of the contact as a fraction in [0, 1] of the interval ``(..., n - 1)``; inf if there is no contact.
     """
     near, motion = _near_intervals(a, b)
     out = np.full(near.shape, np.inf)
@@ -151,9 +204,9 @@ def sweep(a: Boxes, b: Boxes) -> Floats:
 
 
 def touches(a: Boxes, b: Boxes) -> Bools:
-    """Whether the boxes touch at any time between the first step and the last one; see :func:`sweep`.
+    """Return whether the boxes touch at any time between the first step and the last one; see :func:`sweep`.
 
-    The leading axes remain. It takes less time than to find out when they touch first.
+    The result keeps the leading axes. The function is faster than :func:`first_contact`.
     """
     near, motion = _near_intervals(a, b)
     touched = np.zeros(near.shape[:-1], bool)
@@ -164,7 +217,7 @@ def touches(a: Boxes, b: Boxes) -> Bools:
 
 
 def _near_intervals(a: Boxes, b: Boxes) -> tuple[Bools, list[Floats]]:
-    """Which intervals between steps can have a contact, ``(..., n - 1)``, and the motions in these, ``(k,)`` each."""
+    """Find the intervals ``(..., n - 1)`` in which a contact is possible; return them and their motions ``(k,)``."""
     shape = np.broadcast_shapes(*(np.shape(v) for box in (a, b) for v in (box.x, box.y, box.heading)))
     steps = (np.broadcast_to(v, shape) for v in (b.x - a.x, b.y - a.y, a.heading, b.heading))
     (x0, x1), (y0, y1), (ha, ha1), (hb, hb1) = ((v[..., :-1], v[..., 1:]) for v in steps)
@@ -181,14 +234,14 @@ def _near_intervals(a: Boxes, b: Boxes) -> tuple[Bools, list[Floats]]:
 
 
 def _level_steps(dz: Floats) -> Bools:
-    """Between which steps two vehicles are on one layer at either end, for height differences ``(..., n)`` [m]."""
+    """Find the steps at either end of which two vehicles are on one layer, for height differences ``(..., n)`` [m]."""
     return np.asarray(np.minimum(dz[..., :-1], dz[..., 1:]) <= LAYER_HEIGHT_M)
 
 
 def _advance(motion: list[Floats], group: Ints) -> Floats:
-    """Conservative advancement of ``(k,)`` intervals; see :func:`sweep`.
+    """Advance ``(k,)`` intervals conservatively; see :func:`sweep`.
 
-    Intervals of the same ``group`` ``(k,)`` are not advanced further once one of them has a contact.
+    Once an interval has a contact, the others of the same ``group`` ``(k,)`` are not advanced further.
     """
     contact, done = np.full(len(group), np.inf), np.zeros(group.max() + 1, bool)
     active = np.arange(len(contact))
@@ -204,7 +257,7 @@ def _advance(motion: list[Floats], group: Ints) -> Floats:
 
 
 def _safe_step(at: Floats, motion: list[Floats]) -> tuple[Bools, Floats]:
-    """Whether the boxes are apart at fraction ``at``, and a further fraction during which they surely stay apart."""
+    """Return whether the boxes are apart at fraction ``at``, and for which further fraction they surely stay apart."""
     x0, y0, vx, vy, ha, da, hb, db, la, wa, lb, wb = motion
     dx, dy, speed = x0 + at * vx, y0 + at * vy, np.hypot(vx, vy)
     ca, sa, cb, sb = np.cos(ha + at * da), np.sin(ha + at * da), np.cos(hb + at * db), np.sin(hb + at * db)
@@ -220,14 +273,23 @@ def _safe_step(at: Floats, motion: list[Floats]) -> tuple[Bools, Floats]:
     for distance, rate in zip(sat(dx, dy, ca, sa, cb, sb, (la, wa), (lb, wb)), rates, strict=True):
         positive = distance > TOUCHING_DISTANCE_M
         apart |= positive
-        with np.errstate(over="ignore"):  # by a rate of next to nothing: inf, as it should be
+        with np.errstate(over="ignore"):  # a rate near 0 gives inf, which is right
             step = np.where(rate > 0, distance / np.where(rate > 0, rate, 1.0), np.inf)
         safe = np.where(positive, np.maximum(safe, step), safe)
     return apart, safe
 
 
 def first_contact(a: Boxes, b: Boxes, time: Floats) -> Floats:
-    """Time [s] of the first contact over the last axis (``time``: ``(n,)``), inf if none; the leading axes remain."""
+    """Find the first contact over the last axis.
+
+    Args:
+        a: Boxes, arrays ``(..., n)``.
+        b: Boxes, arrays ``(..., n)``.
+        time: Times of the steps ``(n,)`` [s].
+
+    Returns:
+        The time of the first contact ``(...)`` [s]; inf if there is none.
+    """
     if len(time) == 1:
         return np.where(overlaps(a, b)[..., 0], time[0], np.inf)
     fractions = sweep(a, b)
@@ -236,13 +298,18 @@ def first_contact(a: Boxes, b: Boxes, time: Floats) -> Floats:
 
 
 def row_of(track: Track) -> Boxes:
-    """The track as one row of boxes, ``(1, n)``."""
+    """Return a track as one row of boxes, ``(1, n)``."""
     x, y, heading, speed = (v[None] for v in (track.x, track.y, track.heading, track.speed))
     return Boxes(x, y, heading, speed, track.length, track.width, height_as(track, lambda z: z[None]))
 
 
 def at_time(track: Track, when: float) -> Boxes:
-    """The track's box at one time (linear between steps, heading the shorter way), as 0-d arrays."""
+    """Return the box of a track at one time, as 0-d arrays.
+
+    Args:
+        track: The track. It is linear between steps; headings turn the shorter way.
+        when: The time [s].
+    """
     turns = np.unwrap(track.heading)
     x, y, heading, speed = (np.asarray(np.interp(when, track.time, v)) for v in (track.x, track.y, turns, track.speed))
     z = height_as(track, lambda z: np.asarray(np.interp(when, track.time, z)))
@@ -250,9 +317,17 @@ def at_time(track: Track, when: float) -> Boxes:
 
 
 def between_steps(b: Boxes, step: Ints, share: Floats) -> Boxes:
-    """The boxes ``(n,)`` of b ``(n, steps)`` within the step that ends at ``step`` ``(n,)``.
+    """Interpolate boxes within a step of each motion.
 
-    share: of that step, ``(n,)`` in [0, 1]. Linear, headings the shorter way. Nothing comes before step 0.
+    Positions, speeds and heights are linear; headings turn the shorter way.
+
+    Args:
+        b: n motions, arrays ``(n, steps)``.
+        step: The step at which each interval ends ``(n,)``. Before step 0, the motion stays at its first state.
+        share: Where in the interval, ``(n,)`` in [0, 1].
+
+    Returns:
+        The boxes ``(n,)``.
     """
     rows = np.arange(len(step))
     before, after = pick(b, (rows, np.maximum(step - 1, 0))), pick(b, (rows, step))
@@ -264,9 +339,14 @@ def between_steps(b: Boxes, step: Ints, share: Floats) -> Boxes:
 
 
 def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
-    """Tracks as boxes ``(len(tracks), len(time))`` at ``time`` [s]; NaN where a vehicle is not there.
+    """Put tracks on one time grid.
 
-    The tracks must lie on the same regular grid. Each may begin and end anywhere and leave out steps.
+    Args:
+        tracks: The tracks. They must lie on the same regular grid. Each may begin and end anywhere and leave out steps.
+        time: The grid's times [s].
+
+    Returns:
+        Boxes ``(len(tracks), len(time))``; NaN at the times at which a vehicle is absent.
     """
     step = time[1] - time[0] if len(time) > 1 else 1.0
     raised = any(np.ndim(track.z) for track in tracks)
@@ -278,7 +358,7 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
         columns = [track.x, track.y, track.heading, track.speed]
         if raised:
             columns.append(np.broadcast_to(track.z, track.x.shape))
-        if track.time[-1] - track.time[0] > (len(track.time) - 0.5) * step:  # the vehicle was away in between
+        if track.time[-1] - track.time[0] > (len(track.time) - 0.5) * step:  # the vehicle was absent for some steps
             at = np.rint((track.time - time[0]) / step).astype(np.intp)
             there = (at >= 0) & (at < len(time))
             for values, column in zip(state, columns, strict=True):

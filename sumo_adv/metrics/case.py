@@ -1,10 +1,10 @@
-"""The judged part of a recording: the ego, the adversary with its further plan, and the vehicles near.
+"""The part of a recording that is judged: the ego, the adversary with its further plan, and the vehicles near them.
 
-Where a log moved the adversary up to the take-over, the log's noise is the log's, not the adversary's. Recorded speeds
-and headings tremble from state to state. At 0.1 s a tremble of 1 m/s is an acceleration of 10 m/s2, and the first step
-of an adversary would carry it. So the states of the last half second before the take-over are replaced by a straight
-line through their speeds and headings. The adversary begins with the smoothed state, and the gates judge it from there.
-Positions stay as recorded.
+If a log moved the adversary up to the take-over, the log's noise must not count against the adversary. Recorded speeds
+and headings fluctuate from state to state. At 0.1 s, a fluctuation of 1 m/s is an acceleration of 10 m/s2, which would
+show in the adversary's first step. Therefore the speeds and headings of the last half second before the take-over are
+replaced by a straight line through them. The adversary begins with the smoothed state, and the gates judge it from
+there. Positions stay as recorded.
 """
 
 from __future__ import annotations
@@ -20,15 +20,22 @@ from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import height_as
 from sumo_adv.metrics.gates import CLOCK_SLACK_S, GATES, kinematic_gates
 
-SMOOTHED_S = 0.5  # before the take-over: the shortest manoeuvre in a log, a brake tap, lasts longer
-FEWEST_SMOOTHED_STATES = 4  # a line through fewer says nothing of their noise
+SMOOTHED_S = 0.5  # before the take-over; the shortest manoeuvre in a log, a tap on the brake, lasts longer
+FEWEST_SMOOTHED_STATES = 4  # a line through fewer states does not show their noise
 
 
 def smoothed(track: Track, time: float, limits: Limits) -> Track:
-    """The track with smooth speeds, headings and accelerations in the ``SMOOTHED_S`` up to ``time`` [s], and with the
-    acceleration of the next step counted from the smoothed speed.
+    """Smooth the speeds, headings and accelerations of a track in the ``SMOOTHED_S`` up to a time.
 
-    The acceleration is kept within the limits. A track of fewer states there stays as it is.
+    The acceleration of the next step is computed from the smoothed speed.
+
+    Args:
+        track: The track.
+        time: The end of the smoothed stretch [s].
+        limits: The smoothed acceleration is kept within these.
+
+    Returns:
+        The smoothed track; the same track if fewer than ``FEWEST_SMOOTHED_STATES`` states lie in the stretch.
     """
     k = np.flatnonzero((track.time >= time - SMOOTHED_S - CLOCK_SLACK_S) & (track.time <= time + CLOCK_SLACK_S))
     if len(k) < FEWEST_SMOOTHED_STATES:
@@ -48,8 +55,16 @@ def smoothed(track: Track, time: float, limits: Limits) -> Track:
 
 
 def log_breaches(track: Track, time: float, limits: Limits) -> tuple[str, ...]:
-    """The names of the kinematic gates that the log itself breaks up to ``time`` [s], or in the step after it because
-    of its last state."""
+    """Return the kinematic gates that the log itself breaks.
+
+    Args:
+        track: The adversary's track.
+        time: When the log stops moving the vehicle [s]. The step after it counts, because it depends on the last state.
+        limits: The limits of the motion.
+
+    Returns:
+        Names of gates, in the order of ``GATES``.
+    """
     if len(track.time) < FEWEST_SMOOTHED_STATES:
         return ()
     broken = kinematic_gates(track.boxes(), track.acceleration, track.time, limits)
@@ -57,8 +72,8 @@ def log_breaches(track: Track, time: float, limits: Limits) -> tuple[str, ...]:
     return tuple(name for name in GATES if name in broken and broken[name][2:until].any())
 
 
-THIRD_PARTY_DISTANCE_M = 60.0  # between centres: vehicles that never come that near are no third party
-FEWEST_STATES = 4  # a vehicle that is there for fewer has no motion to judge
+THIRD_PARTY_DISTANCE_M = 60.0  # between centres; vehicles that stay farther away are no third parties
+FEWEST_STATES = 4  # a vehicle with fewer states has no motion to judge
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +82,12 @@ class Case:
 
     Attributes:
         ego: The ego's track.
-        adversary: The collider's track; it goes on past a contact as it was planned.
-        others: The vehicles near, the supports among them.
+        adversary: The track of the vehicle that collides with the ego; past a contact it continues as planned.
+        others: The vehicles near the ego, including the supports.
         start: When the attack begins [s].
         log_gates: The gates that the log of the adversary breaks before the attack; empty if no log moved it.
-        supports: The other adversaries; their motion is judged by the gates, too.
-        on_road: Tells which points are drivable; None = everywhere.
+        supports: The other adversaries; the gates judge their motion, too.
+        on_road: Returns which points are drivable; None if all are.
         lane_half_width: Half the width of the ego's lane [m].
         unattacked: The ego's motion without the attack, if known.
     """
@@ -89,7 +104,7 @@ class Case:
 
     @property
     def begin(self) -> float:
-        """When both tracks are there [s]."""
+        """The first time at which both tracks have a state [s]."""
         return max(float(self.ego.time[0]), float(self.adversary.time[0]))
 
 
@@ -98,19 +113,22 @@ def make_case(
     logged: Limits | None = None, on_road: OnRoad | None = None, lane_half_width: float = 1.6,
     unattacked: Track | None = None,
 ) -> Case | None:  # fmt: skip
-    """Return the case of one attempt; None if the ego or the collider is gone before it moved.
+    """Make the case of one attempt.
 
     Args:
-        tracks: The recorded motions on one grid, which begin some steps before ``start``.
+        tracks: The recorded motions on one grid. They begin some steps before ``start``.
         ego: The ego's id.
-        adversaries: Their ids, the collider's first.
+        adversaries: The adversaries' ids, the collider's first.
         start: When the attack begins [s].
         beyond: The adversaries' planned motions from the last recorded step on, by id.
-        logged: The vehicles' limits, if a log moved them up to ``start``. The noise there is smoothed, because the
+        logged: The vehicles' limits, if a log moved them up to ``start``. The log's noise is then smoothed, because the
             gates judge what the adversaries add.
-        on_road: Tells which points are drivable.
+        on_road: Returns which points are drivable.
         lane_half_width: Half the width of the ego's lane [m].
         unattacked: The ego's motion without the attack, if known.
+
+    Returns:
+        The case; None if the ego or the collider has no state after ``start``.
     """
     named = {t.id: t for t in tracks}
     ego_track, adversary_track = named.get(ego), named.get(adversaries[0])
@@ -135,7 +153,14 @@ def make_case(
 
 
 def unbroken(track: Track, time: float) -> Track:
-    """The stretch of a track around ``time`` [s] in which no step is left out (recorded vehicles may be unseen)."""
+    """Return the stretch of a track around a time in which no step is missing.
+
+    Recorded vehicles may be out of view at times.
+
+    Args:
+        track: The track.
+        time: The time [s].
+    """
     step = float(np.diff(track.time).min()) if len(track.time) > 1 else 0.0
     breaks = np.flatnonzero(np.diff(track.time) > 1.5 * step)
     if not len(breaks):
@@ -146,14 +171,14 @@ def unbroken(track: Track, time: float) -> Track:
 
 
 def closest(ego: Track, other: Track, time: float) -> float:
-    """Least distance of the centres [m] at common times from ``time`` on; inf if there are none."""
+    """Return the minimum distance of the centres [m] at common times from ``time`` [s] on; inf if there are none."""
     common, i, j = np.intersect1d(np.round(ego.time, 3), np.round(other.time, 3), return_indices=True)
     i, j = i[common >= time - 1e-6], j[common >= time - 1e-6]
     return float(np.min(np.hypot(ego.x[i] - other.x[j], ego.y[i] - other.y[j]))) if len(i) else math.inf
 
 
 def joined(track: Track, more: Track) -> Track:
-    """One track after the other; lane ids are dropped."""
+    """Append one track to another; lane ids are dropped."""
     names = ("time", "x", "y", "heading", "speed", "acceleration")
     time, x, y, heading, speed, acceleration = (np.concatenate([getattr(t, n) for t in (track, more)]) for n in names)
     z = height_as(track, lambda z: np.concatenate([z, np.broadcast_to(more.z, more.x.shape)]))
