@@ -1,32 +1,34 @@
-"""Why an attempt came to a contact or a near miss: what the ego did, against the careful driver, in a sentence.
+"""Explain in a sentence why an attempt led to a contact or a near miss, by comparing the ego with a careful driver.
 
 ============= ====================================================================================================
 kind          meaning
 ============= ====================================================================================================
-unforeseeable no danger shows to ``cc_human`` soon enough: it does not brake, or is hit all the same, and no reference
-              driver and no constant braking avoids the contact
-steered_in    the ego left its way towards the adversary, and on its way it would not have been hit
+unforeseeable no danger shows to ``cc_human`` soon enough: it does not brake, or it brakes and is hit anyway, and no
+              reference driver and no constant braking avoids the contact
+steered_in    the ego left its way towards the adversary; on its way it would not have been hit
 no_reaction   the ego neither braked nor steered away before the contact
-late          it began more than 0.2 s after the careful driver
-let_go        it braked, and let go for more than 0.5 s before the contact, or stopped and drove on
-too_little    it began in time, and did too little
-no_swerve     it braked in time, and no constant braking up to 0.774 g avoids the contact
-braked_in     it braked, and keeping its speed would have been enough, or braking in time harder than was enough did not
-              avoid it: its braking brought it into the adversary's path
-evaded        no contact: it began in time
+late          the ego reacted more than 0.2 s after the careful driver
+let_go        the ego braked and released the brake for more than 0.5 s before the contact, or stopped and drove on
+too_little    the ego reacted in time, but not strongly enough
+no_swerve     the ego braked in time, and no constant braking up to 0.774 g avoids the contact
+braked_in     by braking, the ego came into the adversary's path: either keeping its speed would have been enough, or
+              it braked in time and harder than would have been enough, and was hit
+evaded        no contact: the ego reacted in time
 ============= ====================================================================================================
 
-A reaction is what the attack changed.  The ego brakes where it loses speed, by at least 1 m/s2 more than it did at the
-same time without the attack, for 0.2 s, and from then on while it loses speed or stands: braking for a red light is no
-reaction.  It steers where it leaves both its way without the attack and the straight on by 0.375 m (the zone of
-wandering of UN R157).
+A reaction is a change that the attack caused. The ego brakes while it loses speed by at least 1 m/s2 more than it did
+at the same time without the attack. The braking must last 0.2 s. It then continues while the ego loses speed or stands.
+Braking for a red light is therefore no reaction. The ego steers if it leaves both its way without the attack and the
+straight continuation of its heading by 0.375 m (the zone of wandering of UN R157).
 
-The careful driver is ``cc_human`` (UN R157).  It watches the ego as it drove, up to the contact: the adversary alarms
-it, anew after 2 s without a danger, and 0.75 s later it would begin to brake.  Where it does not avoid the
-contact and another reference driver does, that one takes its place: ``manoeuvre``, else a driver for one direction: of
-those the last to begin to want to brake.  ``enough`` is the least constant braking from the same moment on that touches
-no vehicle in the kinematic counterfactual (``reference/counterfactual.py``), in steps of 0.1 m/s2 up to 0.774 g.  The
-adversary moves as it did, whatever the ego does.
+The careful driver is ``cc_human`` (UN R157). It watches the ego as it drove, up to the contact. The adversary alarms
+it, and 0.75 s later it would begin to brake; after 2 s without a danger, the next alarm counts as the first. If
+``cc_human`` does not avoid the contact and another reference driver does, the ego is compared with that driver:
+with ``manoeuvre`` if it is one of them, otherwise with the driver for one direction that begins to brake last.
+
+``enough`` is the smallest constant braking from the same moment on that touches no vehicle in the kinematic
+counterfactual (``reference/counterfactual.py``). It is searched in steps of 0.1 m/s2 up to 0.774 g. The adversary moves
+as it did, whatever the ego does.
 """
 
 from __future__ import annotations
@@ -49,22 +51,22 @@ from sumo_adv.metrics.reference.cc_human import HUMAN_REACTION_S, PERCEPTION_S, 
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import View
 
-IN_TIME_S = 0.2  # after the careful driver is still in time
-CALM_S = 2.0  # without a danger, after which the next one is another
-ZERO_IN_WORDS_S = 0.05  # before the moment, which is 0.0 s in words
+IN_TIME_S = 0.2  # a reaction up to this much later than the careful driver's is still in time
+CALM_S = 2.0  # a danger that shows after this time without one is a new danger
+ZERO_IN_WORDS_S = 0.05  # shorter times read "0.0 s" in a sentence
 BRAKING_STEP_M_S2 = 0.1  # between the constant brakings that are tried
-COARSE_STEPS = 5  # every fifth one is tried first
+COARSE_STEPS = 5  # every fifth braking is tried first
 STOPPED_EGO_MAX_SPEED_M_S = 0.1  # a slower ego stands
 CAREFUL = CcHuman.name
 REACTION_DELAY_S = {name: braker.delay for name, braker in BRAKERS.items()}
 REACTION_DELAY_S |= {MANOEUVRE: HAZARD_TO_MANOEUVRE_S - PERCEPTION_S}
-"""Seconds from a reference driver's alarm until it acts."""
+"""Time from a reference driver's alarm until it acts [s]."""
 DRIVER_WORDS = {CAREFUL: "the careful one", MANOEUVRE: "a driver that brakes and steers"}
-"""Reference drivers in sentences."""
+"""How sentences name a reference driver."""
 
 
 class CauseKind(StrEnum):
-    """What kind of fault led to it; the table above has the meanings."""
+    """The kind of cause; see the table at the top of the module."""
 
     UNFORESEEABLE = "unforeseeable"
     STEERED_IN = "steered_in"
@@ -86,15 +88,28 @@ class Action(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Why, in a sentence and in numbers.  Times are of the simulation [s]; None: the question does not arise.
+    """Why a contact or near miss happened, in a sentence and in numbers.
 
-    moment: of the contact, or of the least TTC without one.  reference: the driver that the ego is compared with;
-    alarm: when a danger showed to it; careful: when it began to act.  began: when the ego reacted first, and action:
-    how.  braking: the mean from there, or from ``careful`` if that is later, until the contact, the standstill or the
-    end of braking [m/s2]; hardest: the most for 0.2 s [m/s2]; let_go: when it last stopped braking for more than 0.5 s
-    before the moment, or, where it had ``stopped``, when it drove on;
-    held: whether the same braking, held, would have avoided it.  shift: how far the ego had left its way at the moment
-    [m, left positive].  enough: the least constant braking from ``careful`` on that avoids the contact [m/s2].
+    Times are simulation times [s]. A value is None if its question does not arise.
+
+    Attributes:
+        kind: The kind of cause.
+        sentence: The cause in words.
+        moment: When the contact happened or, without one, the minimum TTC.
+        reference: The reference driver that the ego is compared with.
+        alarm: When a danger showed to the reference driver.
+        careful: When the reference driver began to act.
+        began: When the ego first reacted.
+        action: How the ego first reacted.
+        braking: Mean deceleration [m/s2], from ``began`` or, if later, ``careful`` until the contact, the standstill or
+            the end of braking.
+        hardest: Maximum deceleration that lasted 0.2 s [m/s2].
+        let_go: When the ego last released the brake for more than 0.5 s before the moment. If it had ``stopped``, when
+            it drove on.
+        stopped: Whether the ego stopped and drove on before the moment.
+        held: Whether the same braking would have avoided the contact if the ego had held it.
+        shift: How far the ego had left its way at the moment [m, left positive].
+        enough: The smallest constant braking from ``careful`` on that avoids the contact [m/s2].
     """
 
     kind: CauseKind
@@ -118,12 +133,12 @@ def cause_of(case: Case, verdict: Verdict) -> Cause | None:
     """Return the cause of a contact or near miss.
 
     Args:
-        case: The recorded attempt. Without ``case.unattacked``, the ego is compared with a straight way at constant
+        case: The recorded attempt. Without ``case.unattacked``, the ego is compared with straight driving at constant
             speed.
-        verdict: The verdict on it.
+        verdict: The verdict on the attempt.
 
     Returns:
-        The cause; None if there was neither a contact nor a near miss, or the adversary ran into the ego's back.
+        The cause; None if there was neither a contact nor a near miss, or if the adversary ran into the ego's back.
     """
     ego, adversary = case.ego, case.adversary
     contact = verdict.contact_time
@@ -164,8 +179,15 @@ def cause_of(case: Case, verdict: Verdict) -> Cause | None:
 
 
 def _kind(c: Cause, met: bool, into: bool, avoided: bool, harder: bool) -> CauseKind:
-    """``met``: there was a contact; ``into``: the ego steered into it; ``avoided``: by some reference driver;
-    ``harder``: braking at 0.774 g would have been enough, too."""
+    """Choose the kind of cause.
+
+    Args:
+        c: The cause found so far.
+        met: Whether there was a contact.
+        into: Whether the ego steered into the contact.
+        avoided: Whether some reference driver avoids the contact.
+        harder: Whether braking at 0.774 g avoids the contact, too.
+    """
     if into:
         return CauseKind.STEERED_IN
     if c.careful is None or (met and not avoided and c.enough is None):
@@ -193,8 +215,14 @@ def _kind(c: Cause, met: bool, into: bool, avoided: bool, harder: bool) -> Cause
 
 @dataclass(frozen=True, slots=True)
 class _Reference:
-    """When a driver was alarmed and when it acted [s], None where that was not before the moment.  danger: the alarm of
-    the careful driver, or of this one where the careful driver has none."""
+    """When a reference driver was alarmed and acted.
+
+    Attributes:
+        name: The driver's name.
+        alarm: When it was alarmed [s]; None if not before the moment.
+        acts: When it acted [s]; None if not before the moment.
+        danger: When the careful driver was alarmed [s]; if it was not, when this driver was.
+    """
 
     name: str
     alarm: float | None
@@ -203,8 +231,10 @@ class _Reference:
 
 
 class _Watched(CcHuman):
-    """The careful driver of one encounter that notes when the adversary alarmed it, and when it began to brake; after
-    ``CALM_S`` without a danger it begins anew."""
+    """The careful driver of one encounter, with a note of when the adversary alarmed it and when it began to brake.
+
+    Both times start again after ``CALM_S`` without a danger.
+    """
 
     def __init__(self, shape: tuple[int, int], dt: float, start: float) -> None:
         super().__init__(shape, dt)
@@ -225,7 +255,7 @@ class _Watched(CcHuman):
 
 
 def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verdict) -> _Reference:
-    """The driver that the ego is compared with."""
+    """Choose the reference driver that the ego is compared with."""
     start = float(check.time[check.given.start[0]])
     careful = _Watched(check.shape, check.given.dt, start)
     _watch(check, careful, moment - begin)
@@ -250,7 +280,7 @@ def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verd
 
 
 def _watch(check: Counterfactual, driver: Braker, moment: float) -> list[bool]:
-    """In which steps up to ``moment`` [s from step 0] a driver that watches the recorded ego wants to brake."""
+    """Return in which steps up to ``moment`` [s from step 0] a driver that watches the recorded ego wants to brake."""
     station, speed = check.paths.station, np.broadcast_to(check.ego.speed, check.paths.station.shape)
     change = np.diff(speed, axis=1, prepend=speed[:, :1]) / check.given.dt
     steps = range(int(np.searchsorted(check.time, moment)))
@@ -259,14 +289,14 @@ def _watch(check: Counterfactual, driver: Braker, moment: float) -> list[bool]:
 
 
 def _last_onset(brakes: Sequence[bool], check: Counterfactual) -> float:
-    """When the last spell begins [s from step 0], not before the start; ``inf`` without any."""
+    """Return when the last spell of braking begins [s from step 0], not before the start; ``inf`` if there is none."""
     start = int(check.given.start[0])
     onsets = [k for k in range(start, len(brakes)) if brakes[k] and (k == start or not brakes[k - 1])]
     return float(check.time[onsets[-1]]) if onsets else math.inf
 
 
 def _enough(check: Counterfactual, first: int) -> float | None:
-    """The least constant braking from the step ``first`` on that avoids the contact; 0 = keeping the speed."""
+    """Return the smallest constant braking from the step ``first`` on that avoids the contact; 0 = keep the speed."""
     coarse = range(0, int(FULL_BRAKING_M_S2 / BRAKING_STEP_M_S2) + 1, COARSE_STEPS)
     found = next((k for k in coarse if _avoids(check, first, k * BRAKING_STEP_M_S2)), None)
     if found is None:
@@ -276,7 +306,7 @@ def _enough(check: Counterfactual, first: int) -> float | None:
 
 
 def _avoids(check: Counterfactual, first: int, braking: float) -> bool:
-    """Whether the ego avoids the contact if it brakes evenly [m/s2] from the step ``first`` on."""
+    """Return whether the ego avoids the contact if it brakes constantly [m/s2] from the step ``first`` on."""
     station = check.paths.station[0]
     speed = np.broadcast_to(check.ego.speed, check.paths.station.shape)[0]
     since = np.maximum(check.time - check.time[first], 0.0)
@@ -333,7 +363,7 @@ def _sentence(c: Cause, met: bool) -> str:
 
 
 def _all_the_same(c: Cause, check: Counterfactual, begin: float) -> str:
-    """Why a careful driver that brakes before the contact does not avoid it."""
+    """Say why a careful driver that brakes before the contact does not avoid it."""
     braked = f"A careful driver would have braked {c.moment - (c.careful or 0.0):.1f} s before the contact"
     station, speed, _ = check.roll_out(CcHuman)
     contact = float(check.moving(station, speed).contact[0])
@@ -346,7 +376,7 @@ def _all_the_same(c: Cause, check: Counterfactual, begin: float) -> str:
 
 
 def _did(c: Cause, moment: str) -> tuple[str, str, str]:
-    """What the ego did: a verb, its size, and the verb in the past."""
+    """Return what the ego did: the verb, the amount, and the verb in the past tense."""
     if c.action is Action.STEERED:
         braking = "" if c.braking is None else f", braking at {c.braking:.1f} m/s2"
         return "steer away", f"by {abs(c.shift or 0.0):.1f} m to the {_side(c)}{braking}", "steered away"

@@ -1,4 +1,4 @@
-"""A contact of two boxes: the sides that meet, rear-end, nuPlan's collision classes, speeds and points.
+"""The contact of two boxes: the sides that meet, rear-end collisions, nuPlan's collision classes, speeds and points.
 
 Contact sides come from the separating axes at the moment of first contact. The boxes touch across the axis along which
 they were last apart.
@@ -20,8 +20,8 @@ STOPPED_SPEED_M_S = 0.05  # nuPlan's threshold for a stopped vehicle
 SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles or lanes go the same way
 OPPOSITE_DIRECTION = 3 * np.pi / 4  # rad, heading difference from which they go opposite ways
 BEHIND_ANGLE_RAD = np.deg2rad(150.0)  # nuPlan's angle from the rear axle beyond which an agent is behind
-BUMPER_DEPTH_M = 0.02  # ahead of the front edge; its ends are drawn in by this: a touch of a corner alone is lateral
-REAR_AXLE_SHARE = 0.3  # of the length, how far the rear axle is behind the box centre
+BUMPER_DEPTH_M = 0.02  # of the front edge, narrower by this at both ends: a touch of a corner alone is lateral
+REAR_AXLE_SHARE = 0.3  # -, distance of the rear axle behind the box centre, as a share of the length
 
 
 class CollisionClass(StrEnum):
@@ -48,13 +48,13 @@ FRONT, REAR, LEFT, RIGHT = range(4)  # indices into SIDES
 
 
 def contact_sides(a: Boxes, b: Boxes) -> tuple[Side, Side]:
-    """The side of a and the side of b that meet, for two boxes at first contact (0-d arrays)."""
+    """Return the side of a and the side of b that meet, for two boxes at first contact (0-d arrays)."""
     of_a, of_b = _meeting_sides(a, b)
     return SIDES[int(of_a)], SIDES[int(of_b)]
 
 
 def _meeting_sides(a: Boxes, b: Boxes) -> tuple[Ints, Ints]:
-    """The sides of a and of b that meet, as indices into ``SIDES``, for boxes at first contact (any shape)."""
+    """Return the sides of a and of b that meet, as indices into ``SIDES``, for boxes at first contact (any shape)."""
     axis = np.argmax(np.stack(np.broadcast_arrays(*axis_separations(a, b))), axis=0)
     of_a, across = axis < 2, axis % 2 == 1
     turned = np.abs(np.cos(b.heading - a.heading)) < np.sqrt(0.5)  # by more than 45 degrees: length and width swap
@@ -62,7 +62,7 @@ def _meeting_sides(a: Boxes, b: Boxes) -> tuple[Ints, Ints]:
 
 
 def _facing_side(own: Boxes, other: Boxes, across: Bools) -> Ints:
-    """The side of ``own`` that looks at ``other``, as an index into ``SIDES``; left or right where ``across``."""
+    """Return the side of ``own`` that faces ``other``, as an index into ``SIDES``: left or right if ``across``."""
     c, s = np.cos(own.heading), np.sin(own.heading)
     dx, dy = other.x - own.x, other.y - own.y
     beside, along = np.where(dy * c - dx * s >= 0, LEFT, RIGHT), np.where(dx * c + dy * s >= 0, FRONT, REAR)
@@ -70,7 +70,10 @@ def _facing_side(own: Boxes, other: Boxes, across: Bools) -> Ints:
 
 
 def contact_point(a: Boxes, b: Boxes) -> tuple[float, float]:
-    """Where two boxes at first contact touch (x, y) [m]: the mean of the corners in (or nearest to) the other box."""
+    """Return the point at which two boxes at first contact touch, (x, y) [m].
+
+    It is the mean of the corners that lie in the other box or nearest to it.
+    """
     points = []
     for own, partner in ((a, b), (b, a)):
         length, width = float(partner.length), float(partner.width)
@@ -84,17 +87,25 @@ def contact_point(a: Boxes, b: Boxes) -> tuple[float, float]:
 
 
 def in_frame(b: Boxes, point: tuple[float, float]) -> tuple[float, float]:
-    """A point in the box's own frame [m]: forward, left of its centre."""
+    """Transform a point into a box's own frame.
+
+    Args:
+        b: The box.
+        point: The point (x, y) [m].
+
+    Returns:
+        The point (forward, left) of the box's centre [m].
+    """
     c, s = float(np.cos(b.heading)), float(np.sin(b.heading))
     dx, dy = point[0] - float(b.x), point[1] - float(b.y)
     return dx * c + dy * s, dy * c - dx * s
 
 
 def rear_end(ego: Boxes, adversary: Boxes) -> Bools:
-    """Whether the adversary runs into the ego's back, for boxes at first contact (any shape).
+    """Return whether the adversary runs into the ego's back, for boxes at first contact (any shape).
 
-    Both head the same way (within 45 degrees), the ego's rear meets the adversary's front, and the adversary is the
-    faster along the ego's heading.
+    Both head the same way (within 45 degrees), the ego's rear meets the adversary's front, and the adversary is faster
+    along the ego's heading.
     """
     of_ego, of_adversary = _meeting_sides(ego, adversary)
     turn = np.asarray(adversary.heading - ego.heading)
@@ -104,10 +115,16 @@ def rear_end(ego: Boxes, adversary: Boxes) -> Bools:
 
 
 def collision_class(ego: Track, adversary: Track, contact_time: float) -> CollisionClass:
-    """nuPlan's class of a collision, in its order: stopped ego, stopped track, rear, front bumper, else lateral.
+    """Return nuPlan's class of a collision.
 
-    nuPlan looks at the first overlapping sample (0.1 s), in which a box that ran into the ego's flank may already
-    overlap the front bumper. This function looks at the exact first contact.
+    The classes are tried in nuPlan's order: stopped ego, stopped track, rear, front bumper; the rest is lateral. nuPlan
+    looks at the first overlapping sample (0.1 s), in which a box that ran into the ego's flank may already overlap the
+    front bumper. This function looks at the exact first contact.
+
+    Args:
+        ego: The ego's track.
+        adversary: The adversary's track.
+        contact_time: When they first touch [s].
     """
     a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
     if a.speed <= STOPPED_SPEED_M_S:
@@ -127,12 +144,12 @@ def collision_class(ego: Track, adversary: Track, contact_time: float) -> Collis
 
 @dataclass(frozen=True, slots=True)
 class Impact:
-    """How fast and where ego and adversary meet.
+    """Where the ego and the adversary meet, and how fast.
 
     Attributes:
         speed: Relative speed [m/s].
-        ego_speed: [m/s]
-        adversary_speed: [m/s]
+        ego_speed: The ego's speed [m/s].
+        adversary_speed: The adversary's speed [m/s].
         angle: The adversary's heading in the ego's frame [rad].
         ego_point: The contact point in the ego's frame (forward, left) [m].
         adversary_point: The contact point in the adversary's frame (forward, left) [m].
@@ -149,7 +166,13 @@ class Impact:
 
 
 def impact(ego: Track, adversary: Track, contact_time: float) -> Impact:
-    """Return how the two meet at ``contact_time`` [s]; how hard they do says ``metrics/severity.py``."""
+    """Return how the two vehicles meet; ``metrics/severity.py`` says how hard.
+
+    Args:
+        ego: The ego's track.
+        adversary: The adversary's track.
+        contact_time: When they first touch [s].
+    """
     a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
     vx = float(b.speed * np.cos(b.heading) - a.speed * np.cos(a.heading))
     vy = float(b.speed * np.sin(b.heading) - a.speed * np.sin(a.heading))
@@ -162,10 +185,18 @@ def impact(ego: Track, adversary: Track, contact_time: float) -> Impact:
 
 
 def first_other_contact(ego: Track, others: Sequence[Track], start: float) -> tuple[str, float] | None:
-    """The first vehicle or object that the ego touches from ``start`` [s] on, and when [s]; None if there is none.
+    """Return the first vehicle or object that the ego touches.
 
-    All tracks lie on one regular grid. Boxes that overlap at ``start`` already are left out (errors of a log), and so
-    is a vehicle that runs into the ego's back.
+    Boxes that already overlap at ``start`` are errors of a log and are left out. A vehicle that runs into the ego's
+    back is left out, too.
+
+    Args:
+        ego: The ego's track.
+        others: Other tracks, on the same regular grid.
+        start: The time from which contacts count [s].
+
+    Returns:
+        The id and the time of the contact [s]; None if there is none.
     """
     driven = ego.between(start, np.inf)
     near = [t for t in others if len(t.between(start, np.inf).time) > 1]

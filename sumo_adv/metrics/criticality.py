@@ -1,6 +1,6 @@
-"""How close it was: TTC, PET, DRAC and their kin, on arrays.  ``inf`` = never.
+"""Measure how close a conflict was: TTC, PET, DRAC and related measures, on arrays. ``inf`` means never.
 
-Everything broadcasts: ego ``(time,)`` against vehicles ``(n, time)`` gives ``(n, time)``.  SI units throughout.
+Everything broadcasts: an ego ``(time,)`` against vehicles ``(n, time)`` gives ``(n, time)``. All units are SI.
 """
 
 from __future__ import annotations
@@ -15,16 +15,23 @@ from sumo_adv.geometry import LAYER_HEIGHT_M, same_layer, wrap_below_pi
 from sumo_adv.metrics.boxes import corners, flat, gap, half, height_as, on_grid, overlaps, pick
 
 AVAILABLE_BRAKING_M_S2 = 8.0  # the braking of a car on a dry road
-PET_SUBSTEP_COUNT = 51  # parts of a step in which PET is refined
-MIN_MOVE_PER_STEP_M = 0.01  # below it a vehicle stands, and no slope can be told
+PET_SUBSTEP_COUNT = 51  # samples of a step with which PET is refined
+MIN_MOVE_PER_STEP_M = 0.01  # a vehicle that moves less stands, so it shows no slope
 
 
 def ttc(a: Boxes, b: Boxes) -> Floats:
-    """Two-dimensional time to collision [s] of boxes at constant velocity and heading; 0 touching, inf never.
+    """Compute the two-dimensional time to collision of boxes at constant velocity and heading.
 
-    Exact: with fixed headings the boxes overlap at t where on each of the four separating axes |p + u t| <= R, an
-    interval in t; TTC is the start of the four intervals' intersection with t >= 0. Where roads have heights, these are
-    a fifth axis: each vehicle goes on up or down as steeply as it does now.
+    The result is exact. With fixed headings, the boxes overlap at t if |p + u t| <= R on each of the four separating
+    axes, which is an interval in t. TTC is the start of the intersection of the four intervals with t >= 0. If roads
+    have heights, these are a fifth axis: each vehicle continues up or down as steeply as it does now.
+
+    Args:
+        a: Boxes.
+        b: Boxes.
+
+    Returns:
+        The TTC [s]; 0 if the boxes touch, inf if they never do.
     """
     ca, sa, cb, sb = np.cos(a.heading), np.sin(a.heading), np.cos(b.heading), np.sin(b.heading)
     dx, dy = b.x - a.x, b.y - a.y
@@ -57,7 +64,14 @@ def ttc(a: Boxes, b: Boxes) -> Floats:
 
 
 def climb(b: Boxes) -> Floats:
-    """How steeply the road rises under boxes ``(..., steps)`` that move, metres a metre; 0 where they stand."""
+    """Return the slope of the road under moving boxes.
+
+    Args:
+        b: Boxes ``(..., steps)``.
+
+    Returns:
+        The rise in metres per metre; 0 if a vehicle stands or the road has no heights.
+    """
     if not isinstance(b.z, np.ndarray) or not b.z.ndim or b.z.shape[-1] < 2 or b.x.shape != b.z.shape:
         return np.zeros(())
     moved = np.hypot(np.gradient(b.x, axis=-1), np.gradient(b.y, axis=-1))
@@ -66,11 +80,19 @@ def climb(b: Boxes) -> Floats:
 
 
 def drac(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
-    """Deceleration rate to avoid the crash [m/s2]: closing speed along the ego's heading / (2 TTC); 0 if no conflict.
+    """Compute the deceleration rate to avoid a crash (DRAC).
 
-    For car following this is the textbook (v_e - v_l)^2 / (2 gap) (Cooper and Ferguson 1976); across headings it is
-    what the ego needs to lose its closing speed before the moment of contact.  inf where the boxes touch.
-    ``times``: TTC already computed.
+    DRAC is the closing speed along the ego's heading / (2 TTC). For car following, this is the textbook formula
+    (v_e - v_l)^2 / (2 gap) (Cooper and Ferguson 1976). For other headings, it is the deceleration with which the ego
+    loses its closing speed before the moment of contact.
+
+    Args:
+        ego: The ego's boxes.
+        other: The other boxes.
+        times: The TTC, if it is known already [s].
+
+    Returns:
+        The rate [m/s2]; 0 if there is no conflict, inf if the boxes touch.
     """
     times = ttc(ego, other) if times is None else times
     closing = np.maximum(ego.speed - other.speed * np.cos(other.heading - ego.heading), 0.0)
@@ -80,10 +102,18 @@ def drac(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
 
 
 def required_lateral(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
-    """Lateral acceleration [m/s2] with which the ego just clears the other's box by the TTC (nearer side); 0 if none.
+    """Compute the lateral acceleration with which the ego just clears the other box by the TTC, on the nearer side.
 
-    a = 2 D / TTC^2, D the lateral shift out of the other's extent across the ego's heading at the moment of contact
-    (Jansson 2005).  inf where the boxes touch.
+    a = 2 D / TTC^2. D is the lateral shift out of the other box's extent across the ego's heading at the moment of
+    contact (Jansson 2005).
+
+    Args:
+        ego: The ego's boxes.
+        other: The other boxes.
+        times: The TTC, if it is known already [s].
+
+    Returns:
+        The acceleration [m/s2]; 0 if there is no conflict, inf if the boxes touch.
     """
     times = ttc(ego, other) if times is None else times
     ahead = np.where(np.isfinite(times), times, 0.0)
@@ -99,7 +129,11 @@ def required_lateral(ego: Boxes, other: Boxes, times: Floats | None = None) -> F
 
 
 def headway(ego: Boxes, other: Boxes) -> Floats:
-    """Time headway [s]: gap to what of a box lies in the ego's straight path ahead, over its speed; inf if none."""
+    """Compute the time headway: the gap to the part of a box in the ego's straight path ahead, over the ego's speed.
+
+    Returns:
+        The headway [s]; inf if nothing lies in the path, or the ego stands.
+    """
     ce, se = np.cos(ego.heading), np.sin(ego.heading)
     dx, dy = other.x - ego.x, other.y - ego.y
     le, we = half(ego)
@@ -124,14 +158,23 @@ def headway(ego: Boxes, other: Boxes) -> Floats:
 
 
 def btn(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
-    """Brake threat number: :func:`drac` over ``AVAILABLE_BRAKING_M_S2``; >= 1: braking alone is too late."""
+    """Compute the brake threat number: :func:`drac` over ``AVAILABLE_BRAKING_M_S2``.
+
+    From 1 on, braking alone is too late.
+    """
     return drac(ego, other, times) / AVAILABLE_BRAKING_M_S2
 
 
 def exposure(times: Floats, threshold: float, dt: float) -> tuple[Floats, Floats]:
-    """TET [s] and TIT [s2] over the last axis (Minderhoud and Bovy 2001).
+    """Compute TET and TIT over the last axis (Minderhoud and Bovy 2001).
 
-    TET: time spent with TTC <= threshold; TIT: integral of (threshold - TTC) over that time.
+    Args:
+        times: The TTC at each step [s].
+        threshold: The TTC up to which a step counts [s].
+        dt: Step [s].
+
+    Returns:
+        TET, the time spent with TTC <= threshold [s], and TIT, the integral of (threshold - TTC) over that time [s2].
     """
     below = times <= threshold
     deficit = np.where(below, threshold - np.where(below, times, 0.0), 0.0)
@@ -140,18 +183,24 @@ def exposure(times: Floats, threshold: float, dt: float) -> tuple[Floats, Floats
 
 @dataclass(frozen=True, slots=True)
 class Encroachment:
-    """PET and where: ``pet`` [s] (0 = collision, inf = the swept areas never meet), ``point`` (x, y) [m] or None."""
+    """The post-encroachment time and its place.
+
+    Attributes:
+        pet: The post-encroachment time [s]; 0 = collision, inf = the swept areas never meet.
+        point: Where the swept areas meet, (x, y) [m]; None if they do not.
+        first: Which vehicle was there first; None in a collision or if the areas never meet.
+    """
 
     pet: float
     point: tuple[float, float] | None
-    first: str | None  # "a" | "b": was there first
+    first: str | None  # "a" | "b"
 
 
 def pet(a: Track, b: Track) -> Encroachment:
-    """Post-encroachment time: the least time between one vehicle leaving and the other reaching a piece of road.
+    """Compute the post-encroachment time: the minimum time between one vehicle leaving and the other reaching a place.
 
-    min |t_i - t_j| over all pairs of steps at which box a(t_i) overlaps box b(t_j) (Allen, Shin, Cooper 1978, for
-    boxes); within the last step to a 50th of it.  For car following it is the time gap.
+    It is min |t_i - t_j| over all pairs of steps at which box a(t_i) overlaps box b(t_j) (Allen, Shin, Cooper 1978, for
+    boxes), refined to a 50th of the last step. For car following, it is the time gap.
     """
     reach = (np.hypot(a.length, a.width) + np.hypot(b.length, b.width)) / 2
     i, j = np.nonzero(np.hypot(a.x[:, None] - b.x, a.y[:, None] - b.y) <= reach)
@@ -171,9 +220,9 @@ def pet(a: Track, b: Track) -> Encroachment:
 
 
 def _refined(a: Track, b: Track, i: int, j: int) -> float:
-    """PET inside the last step: the least lag at which the boxes overlap, a later by up to a step, b earlier, in 50ths.
+    """Refine the PET inside the last step: the minimum lag at which the boxes overlap, in 50ths of a step.
 
-    ``a`` was there first.
+    ``a`` was there first. It is up to a step later, and ``b`` up to a step earlier.
     """
     part = np.linspace(0.0, 1.0, PET_SUBSTEP_COUNT)
     left, leaving = _between(a, i, min(i + 1, len(a.time) - 1), part[:, None])
@@ -182,7 +231,7 @@ def _refined(a: Track, b: Track, i: int, j: int) -> float:
 
 
 def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats, Boxes]:
-    """Time and boxes between two steps of a track, at the given parts of the way."""
+    """Return the time and the boxes between two steps of a track, at the given parts of the way."""
     turn = wrap_below_pi(np.asarray(track.heading[stop] - track.heading[start]))
     time, x, y, speed = (v[start] + part * (v[stop] - v[start]) for v in (track.time, track.x, track.y, track.speed))
     z = height_as(track, lambda z: z[start] + part * (z[stop] - z[start]))
@@ -193,11 +242,15 @@ CRITICALITY_COLUMNS = ("ttc", "gap", "centre_distance", "drac", "btn", "headway"
 
 
 def series(ego: Track, others: Sequence[Track]) -> dict[str, Floats]:
-    """Measures of the ego against every other vehicle over the ego's steps: each of ``CRITICALITY_COLUMNS`` as ``(n,
-    steps)``.
+    """Compute measures of the ego against every other vehicle over the ego's steps.
 
-    Plus ``time`` ``(steps,)`` [s].  Rows are in the order of ``others``; where a vehicle is not there TTC, gap, headway
-    and centre distance are inf and the rates 0.
+    Args:
+        ego: The ego's track.
+        others: The other tracks.
+
+    Returns:
+        Each of ``CRITICALITY_COLUMNS`` as ``(n, steps)``, in the order of ``others``, and ``time`` ``(steps,)`` [s]. If
+        a vehicle is absent, its TTC, gap, headway and centre distance are inf and its rates 0.
     """
     own, them = ego.boxes(), on_grid(others, ego.time)
     times = ttc(own, them)

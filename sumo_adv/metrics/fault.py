@@ -1,8 +1,8 @@
-"""Fault: nuPlan's at-fault rules, and Responsibility-Sensitive Safety as a second opinion.
+"""Decide who is at fault: nuPlan's at-fault rules, with Responsibility-Sensitive Safety (RSS) as a second opinion.
 
-nuPlan (nuplan-devkit, ``no_ego_at_fault_collisions``): the ego is at fault when it runs into a stopped vehicle or hits
-with its front bumper; never when it stands or is hit from behind.  Its rule for lateral collisions of an ego that is
-between lanes or off the road is left out.
+nuPlan (nuplan-devkit, ``no_ego_at_fault_collisions``): the ego is at fault if it runs into a stopped vehicle or hits
+another one with its front bumper. It is never at fault if it stands or is hit from behind. nuPlan's rule for lateral
+collisions of an ego that is between lanes or off the road is left out.
 
 RSS: Shalev-Shwartz, Shammah, Shashua 2017, definitions 1, 6 and the blame rule, same direction only.
 """
@@ -18,39 +18,57 @@ from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.contact import OPPOSITE_DIRECTION, SAME_DIRECTION, CollisionClass, collision_class
 
 EGO_PARTY, ADVERSARY_PARTY = "ego", "adversary"
-LOOK_BACK_DISTANCE_M = 60.0  # before the contact, the same for both: an intrusion takes 2 to 3 s, at 20 m/s
-MIN_SHARED_PATH_M = 1.0  # that both together drove, below which nothing can be said of a bend
-MAX_START_ANGLE_RAD = 1.3  # between their directions at the start; with more, one of them came from another road
-STRAIGHT_CURVATURE_1_M = 1e-6  # a curvature below which the arc is a line
+LOOK_BACK_DISTANCE_M = 60.0  # before the contact, for both vehicles: an intrusion takes 2 to 3 s, at 20 m/s
+MIN_SHARED_PATH_M = 1.0  # both ways together; shorter ones do not show a bend
+MAX_START_ANGLE_RAD = 1.3  # between the directions at the start; if larger, one vehicle came from another road
+STRAIGHT_CURVATURE_1_M = 1e-6  # an arc with less curvature is a line
 
 
 @dataclass(frozen=True, slots=True)
 class Rss:
-    """RSS parameters; defaults are those of the ad-rss library."""
+    """Parameters of RSS. The defaults are those of the ad-rss library.
 
-    response: float = 1.0  # s
-    acceleration: float = 3.5  # m/s2, at most, while responding
-    braking: float = 4.0  # m/s2, at least, of the one behind
-    hard_braking: float = 8.0  # m/s2, at most, of the one ahead
-    lateral_acceleration: float = 0.2  # m/s2, at most, while responding
-    lateral_braking: float = 0.8  # m/s2, at least
+    Attributes:
+        response: Response time [s].
+        acceleration: Maximum acceleration while responding [m/s2].
+        braking: Minimum deceleration of the vehicle behind [m/s2].
+        hard_braking: Maximum deceleration of the vehicle ahead [m/s2].
+        lateral_acceleration: Maximum lateral acceleration while responding [m/s2].
+        lateral_braking: Minimum lateral deceleration [m/s2].
+    """
+
+    response: float = 1.0
+    acceleration: float = 3.5
+    braking: float = 4.0
+    hard_braking: float = 8.0
+    lateral_acceleration: float = 0.2
+    lateral_braking: float = 0.8
 
 
 DEFAULT_RSS = Rss()
 
 
 def nuplan_fault(ego: Track, adversary: Track, contact_time: float) -> str:
-    """``ego`` or ``adversary`` by nuPlan's rules."""
+    """Return which party is at fault by nuPlan's rules: ``ego`` or ``adversary``."""
     kind = collision_class(ego, adversary, contact_time)
     return EGO_PARTY if kind in (CollisionClass.STOPPED_TRACK, CollisionClass.ACTIVE_FRONT) else ADVERSARY_PARTY
 
 
 def fault(ego: Track, adversary: Track, contact_time: float) -> str:
-    """``ego`` or ``adversary``: nuPlan's rules, and in a head-on collision the vehicle that left its side.
+    """Return which party is at fault: by nuPlan's rules or, in a head-on collision, the vehicle that left its side.
 
-    nuPlan blames an ego that is hit head-on in its own lane, because it meets the other with its front bumper.  Here
-    the vehicle is at fault that came further over to the other's side, on its last ``LOOK_BACK_DISTANCE_M``, even if it
-    then stopped. The road is taken to be the arc that their directions at the start of this stretch span.
+    nuPlan blames an ego that is hit head-on in its own lane, because the ego meets the other vehicle with its front
+    bumper. In a head-on collision, this function blames the vehicle that came further over to the other's side on its
+    last ``LOOK_BACK_DISTANCE_M``, even if it then stopped. The road is assumed to be the arc that the vehicles'
+    directions at the start of this stretch span.
+
+    Args:
+        ego: The ego's track.
+        adversary: The adversary's track.
+        contact_time: When they first touch [s].
+
+    Returns:
+        ``ego`` or ``adversary``.
     """
     a, b = (t.between(-np.inf, contact_time) for t in (ego, adversary))
     turn = np.abs(wrap_below_pi(b.heading[-1:] - a.heading[-1:]))
@@ -65,20 +83,25 @@ def fault(ego: Track, adversary: Track, contact_time: float) -> str:
 
 
 def _to_go(track: Track) -> Floats:
-    """The distance [m] from each state of a track to its last one."""
+    """Return the distance from each state of a track to its last one [m]."""
     steps = np.hypot(np.diff(track.x), np.diff(track.y))
     return np.append(steps[::-1].cumsum()[::-1], 0.0)
 
 
 def _came_over(track: Track, other: Track, curvature: float) -> float:
-    """How far a vehicle is to the other's side [m] at its last state, if the road is an arc from its first state on.
-    ``curvature``: of the arc [1/m], positive to the left."""
+    """Return how far a vehicle is on the other's side at its last state [m], on the arc that begins at its first state.
+
+    Args:
+        track: The vehicle's track.
+        other: The other vehicle's track.
+        curvature: Curvature of the arc [1/m], positive to the left.
+    """
     side = np.sign(_left_of(track, curvature, other.x[0], other.y[0]))
     return float(side * _left_of(track, curvature, track.x[-1], track.y[-1]))
 
 
 def _left_of(track: Track, curvature: float, x: float, y: float) -> float:
-    """How far a point is to the left [m] of the arc that begins as the track does."""
+    """Return how far a point is to the left of the arc that begins as the track does [m]."""
     c, s = np.cos(track.heading[0]), np.sin(track.heading[0])
     dx, dy = x - track.x[0], y - track.y[0]
     along, left = dx * c + dy * s, dy * c - dx * s
@@ -88,34 +111,66 @@ def _left_of(track: Track, curvature: float, x: float, y: float) -> float:
 
 
 def longitudinal_safe_distance(rear: Floats, front: Floats, rss: Rss = DEFAULT_RSS) -> Floats:
-    """RSS's least gap [m] in one direction: v_r p + a p^2/2 + (v_r + p a)^2 / 2b - v_f^2 / 2B, at least 0."""
+    """Compute RSS's minimum safe gap in one direction: v_r p + a p^2/2 + (v_r + p a)^2 / 2b - v_f^2 / 2B, at least 0.
+
+    Args:
+        rear: Speed of the vehicle behind, v_r [m/s].
+        front: Speed of the vehicle ahead, v_f [m/s].
+        rss: The parameters.
+
+    Returns:
+        The gap [m].
+    """
     after = rear + rss.response * rss.acceleration
     needed = rear * rss.response + rss.acceleration * rss.response**2 / 2 + after**2 / (2 * rss.braking)
     return np.maximum(needed - front**2 / (2 * rss.hard_braking), 0.0)
 
 
 def lateral_way(speed: Floats, rss: Rss) -> Floats:
-    """How far a vehicle at a lateral speed [m/s] comes sideways at most until it has none [m]; negative: away."""
+    """Compute how far a vehicle moves sideways at most until its lateral speed is zero.
+
+    Args:
+        speed: Lateral speed towards the other vehicle [m/s].
+        rss: The parameters.
+
+    Returns:
+        The distance towards the other vehicle [m]; negative if it moves away.
+    """
     after = speed + rss.response * rss.lateral_acceleration
     return (speed + after) / 2 * rss.response + np.sign(after) * after**2 / (2 * rss.lateral_braking)
 
 
 @dataclass(frozen=True, slots=True)
 class SecondOpinion:
-    """RSS's view of a same-direction collision: since when it was dangerous [s], why, and which vehicle is to blame."""
+    """The opinion of RSS on a collision of vehicles that go the same way.
+
+    Attributes:
+        dangerous_since: Since when the situation was dangerous [s].
+        trigger: ``lateral`` if a vehicle moved across, ``longitudinal`` if a vehicle followed too closely.
+        blame: The party to blame, ``ego`` or ``adversary``.
+    """
 
     dangerous_since: float
-    trigger: str  # lateral (a vehicle moved across) | longitudinal (a vehicle followed too closely)
+    trigger: str  # lateral | longitudinal
     blame: str
 
 
 def rss_opinion(ego: Track, adversary: Track, contact_time: float) -> SecondOpinion | None:
-    """Blame by RSS, None unless both go the same way throughout the dangerous spell.
+    """Decide by RSS which vehicle is to blame.
 
-    Dangerous = both the longitudinal and the lateral distance are unsafe, from the start of the last such spell before
-    contact.  If the lateral distance became unsafe last, the one with the greater speed towards the other is to blame
-    (a cut-in); if the longitudinal one did, the rear vehicle had to brake with ``braking`` after ``response``: where
-    the ego was behind and did, the blame is the adversary's.
+    The situation is dangerous while both the longitudinal and the lateral distance are unsafe; the last such spell
+    before the contact counts. If the lateral distance became unsafe last (a cut-in), the adversary is to blame if it
+    moves towards the ego or not sideways at all. If the longitudinal distance became unsafe last, the rear vehicle had
+    to brake with ``braking`` after ``response``. The adversary is to blame if it was behind, or if the ego was behind
+    and did brake so.
+
+    Args:
+        ego: The ego's track.
+        adversary: The adversary's track.
+        contact_time: When they first touch [s].
+
+    Returns:
+        The opinion; None unless both go the same way at the contact.
     """
     start = max(ego.time[0], adversary.time[0])
     a, b = ego.between(start, contact_time), adversary.between(start, contact_time)
@@ -134,8 +189,11 @@ def rss_opinion(ego: Track, adversary: Track, contact_time: float) -> SecondOpin
 
 
 def _unsafe(a: Track, b: Track) -> tuple[Floats, Bools, Bools, Bools]:
-    """The adversary's lateral speed towards the ego (which has none), ego behind, longitudinal and lateral distance
-    unsafe, by step."""
+    """Return per step: the adversary's lateral speed towards the ego, and whether the ego is behind.
+
+    Return also whether the longitudinal and the lateral distance are unsafe. The ego has no lateral speed in its own
+    frame.
+    """
     c, s = np.cos(a.heading), np.sin(a.heading)
     dx, dy, turn = b.x - a.x, b.y - a.y, b.heading - a.heading
     x, y = dx * c + dy * s, dy * c - dx * s
@@ -149,6 +207,6 @@ def _unsafe(a: Track, b: Track) -> tuple[Floats, Bools, Bools, Bools]:
 
 
 def _spell(holds: Bools) -> int:
-    """First step of the spell that runs to the end; ``len(holds)`` if the last step does not hold."""
+    """Return the first step of the spell that runs to the end; ``len(holds)`` if the last step does not hold."""
     broken = np.flatnonzero(~holds)
     return int(broken[-1] + 1) if broken.size else 0

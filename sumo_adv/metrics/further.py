@@ -1,4 +1,4 @@
-"""Further figures of the attempt that counts: the impact, exposure to small TTCs, extremes, and RSS."""
+"""Compute further figures of the attempt that counts: the impact, exposure to small TTCs, extremes, and RSS."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from sumo_adv.metrics.fault import SecondOpinion, rss_opinion
 from sumo_adv.metrics.verdict import LARGEST_DRAC_M_S2, on_common_grid
 
 EXPOSURE_TTC_S = 1.5  # threshold of TET and TIT
-PAPER_EPSILON_M = 5.0  # the paper's collision threshold on centres, which it does not give: a car's length
+PAPER_EPSILON_M = 5.0  # collision threshold on the centres; the paper gives no number, so a car's length is taken
 
 
 @dataclass(frozen=True, slots=True)
 class FurtherFigures:
-    """Figures of one attempt beside its verdict. Never = ``inf``; None = there was no collision.
+    """Figures of one attempt in addition to its verdict. ``inf`` means never; None means that there was no collision.
 
     Attributes:
         collision_class: nuPlan's class of the collision.
-        impact: How fast and where ego and adversary met.
-        rss: What RSS says about the fault.
+        impact: How fast and where the ego and the adversary met.
+        rss: The opinion of RSS on the fault; also None if the vehicles do not go the same way.
         tet: Time with a TTC up to ``EXPOSURE_TTC_S`` [s].
         tit: Integral of ``EXPOSURE_TTC_S`` minus TTC over that time [s2].
-        min_headway: [s]
+        min_headway: Minimum time headway [s].
         max_btn: Largest DRAC as a share of the available braking.
-        max_required_lateral: [m/s2]
-        min_centre_distance: Between the box centres [m].
-        conflict_point: Where they met, or where their swept boxes came nearest in time (x, y) [m].
+        max_required_lateral: Largest required lateral acceleration [m/s2].
+        min_centre_distance: Minimum distance between the box centres [m].
+        conflict_point: Where the vehicles met, or where their swept boxes came nearest in time (x, y) [m]; None if the
+            swept boxes do not meet.
     """
 
     collision_class: CollisionClass | None
@@ -48,7 +49,12 @@ class FurtherFigures:
 
 
 def further_figures(case: Case) -> FurtherFigures:
-    """Return what only the attempt that counts needs beside :func:`sumo_adv.metrics.verdict.judge`.
+    """Compute the figures that only the attempt that counts needs.
+
+    They come in addition to :func:`sumo_adv.metrics.verdict.judge_attempt`.
+
+    Args:
+        case: The recorded attempt.
 
     Raises:
         UsageError: The tracks have no step in common after the attack begins.
@@ -74,14 +80,14 @@ def further_figures(case: Case) -> FurtherFigures:
 def _conflict(
     ego: Track, adversary: Track, start: float, stop: float, contact: float | None
 ) -> tuple[float, float] | None:
-    """Where they met, or where their swept boxes came nearest in time."""
+    """Return where the vehicles met or, without a contact, where their swept boxes came nearest in time."""
     if contact is None:
         return pet(ego.between(start, stop), adversary.between(start, stop)).point
     return contact_point(at_time(ego, contact), at_time(adversary, contact))
 
 
 def _nearest_centres(ego: Track, adversary: Track, distances: Floats, contact: float | None) -> float:
-    """Least distance of the centres [m] over the steps and, where they met, at the first contact."""
+    """Return the minimum distance of the centres [m] over the steps and, if the vehicles met, at the first contact."""
     least = float(distances.min())
     if contact is None:
         return least

@@ -1,9 +1,9 @@
-"""The gates: whether an adversary's motion was possible, stayed on the road and touched no third party first.
+"""The gates: an adversary's motion must be possible, stay on the road, and touch no third party before the ego.
 
-Each rule flags steps of boxes ``(..., steps)``. :func:`failed_gates` applies all rules to one recorded adversary, which
-is the verdict. The search applies the same rules to many predicted adversaries at once.
+Each rule flags steps of boxes ``(..., steps)``. :func:`failed_gates` applies all rules to one recorded adversary, for
+the verdict. The search applies the same rules to many predicted adversaries at once.
 
-Each slack covers no more than sampling at 0.1 s and rounding to a millimetre can cause.
+Each slack covers only what sampling at 0.1 s and rounding to a millimetre can cause.
 """
 
 from __future__ import annotations
@@ -23,19 +23,27 @@ ACCELERATION_SLACK_M_S2 = 0.1  # a speed rounded to 5 mm/s over 0.1 s
 LATERAL_SLACK_M_S2 = 0.1  # a heading rounded to 5e-4 rad over 0.2 s at 20 m/s
 CURVATURE_SLACK_1_M = 0.01
 JERK_SLACK_M_S3 = 3.0  # accelerations rounded to 0.1 m/s2 differ by up to 2 m/s3
-DEFINED_CURVATURE_SPEED_M_S = 1.0  # below it two poses 0.2 s apart do not define a curvature
-REST_SPEED_M_S = 0.05  # below it a vehicle has come to rest, which ends any braking within one step
-STEP_SLACK_M, STEP_SLACK_SHARE = 0.15, 0.05  # and share of v dt, by which a step may differ from its mean speed
-SLIP_ANGLE_RAD, SLIP_SLACK_M = 0.05, 0.02  # sideways slip of the centre besides what a curve explains
+DEFINED_CURVATURE_SPEED_M_S = 1.0  # at lower speeds, two poses 0.2 s apart do not define a curvature
+REST_SPEED_M_S = 0.05  # a slower vehicle has come to rest, which ends any braking within one step
+STEP_SLACK_M, STEP_SLACK_SHARE = 0.15, 0.05  # how far a step may differ from v dt, the latter as a share of it
+SLIP_ANGLE_RAD, SLIP_SLACK_M = 0.05, 0.02  # sideways slip of the centre that no curve explains
 LANE_CHANGE_SPEED_M_S = 1.2  # the lateral speed of SUMO's own lane changes (3.2 m in 3 s) with a small margin
-CLOCK_SLACK_S = 5e-4  # times this close are equal
+CLOCK_SLACK_S = 5e-4  # times that differ by less are equal
 GATES = ("longitudinal", "lateral", "friction_circle", "curvature", "jerk", "continuity", "off_road", "third_party")
 
 
 @dataclass(frozen=True, slots=True)
 class MotionDerivatives:
-    """Derivatives of a motion, each ``(..., steps)``: speed m/s, acceleration and lateral acceleration m/s2, yaw rate
-    rad/s, curvature 1/m, jerk m/s3 (0 at the first step)."""
+    """Derivatives of a motion, arrays ``(..., steps)``.
+
+    Attributes:
+        speed: Speed [m/s].
+        acceleration: Longitudinal acceleration [m/s2].
+        yaw_rate: Yaw rate [rad/s].
+        lateral: Magnitude of the lateral acceleration [m/s2].
+        curvature: Magnitude of the curvature [1/m].
+        jerk: Longitudinal jerk [m/s3]; 0 at the first step.
+    """
 
     speed: Floats
     acceleration: Floats
@@ -46,16 +54,21 @@ class MotionDerivatives:
 
 
 def motion(track: Track) -> MotionDerivatives:
-    """The derivatives ``(steps,)`` of a recorded track."""
+    """Return the derivatives ``(steps,)`` of a recorded track."""
     return derivatives(track.boxes(), track.acceleration, track.time)
 
 
 def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> MotionDerivatives:
-    """Differentiate boxes ``(..., steps)`` with accelerations [m/s2] of the same shape at ``time`` ``(steps,)`` [s].
+    """Differentiate a motion.
 
     The yaw rate is the central difference of headings, one-sided at the ends. Lateral acceleration is v |yaw rate|.
     Curvature is |yaw rate| / v with v at least 1 m/s, so that turning on the spot shows and noise at standstill does
     not. The jerk of coming to rest (speed below 0.05 m/s) is 0.
+
+    Args:
+        b: Boxes ``(..., steps)``.
+        acceleration: Accelerations of the same shape [m/s2].
+        time: Times of the steps ``(steps,)`` [s].
     """
     jerk, turned = np.zeros_like(b.heading), np.unwrap(b.heading, axis=-1)
     yaw_rate = np.gradient(turned, time, axis=-1) if len(time) > 1 else np.zeros_like(turned)
@@ -66,15 +79,31 @@ def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> MotionDerivativ
 
 
 def largest_acceleration(b: Boxes, acceleration: Floats, time: Floats) -> Floats:
-    """The largest acceleration of each motion ``(..., steps)`` in any direction [m/s2], ``(...)``."""
+    """Return the largest acceleration of each motion in any direction.
+
+    Args:
+        b: Boxes ``(..., steps)``.
+        acceleration: Accelerations of the same shape [m/s2].
+        time: Times of the steps ``(steps,)`` [s].
+
+    Returns:
+        The accelerations ``(...)`` [m/s2].
+    """
     m = derivatives(b, acceleration, time)
     return np.asarray(np.hypot(m.acceleration, m.lateral).max(axis=-1))
 
 
 def kinematic_gates(b: Boxes, acceleration: Floats, time: Floats, limits: Limits) -> dict[str, Bools]:
-    """The steps ``(..., steps)`` that break each gate on the motion itself, by the gate's name.
+    """Find the steps that break the gates on the motion itself.
 
-    b, acceleration, time: as in :func:`derivatives`.
+    Args:
+        b: Boxes ``(..., steps)``.
+        acceleration: Accelerations of the same shape [m/s2].
+        time: Times of the steps ``(steps,)`` [s].
+        limits: The limits of the motion.
+
+    Returns:
+        The steps ``(..., steps)`` that break each gate, by the gate's name.
     """
     m = derivatives(b, acceleration, time)
     friction = max(limits.braking, limits.acceleration, limits.lateral)
@@ -90,9 +119,9 @@ def kinematic_gates(b: Boxes, acceleration: Floats, time: Floats, limits: Limits
 
 
 def _discontinuous(b: Boxes, time: Floats, limits: Limits) -> Bools:
-    """Which steps do not follow from their speeds and headings, ``(..., steps)``; never the first.
+    """Find the steps ``(..., steps)`` that do not follow from their speeds and headings; never the first one.
 
-    Along the mean heading a step may differ from the mean speed by 0.15 m + 5 %. Across it the box centre may move as
+    Along the mean heading, a step may differ from the mean speed by 0.15 m + 5 %. Across it, the box centre may move as
     far as it slips in the tightest curve allowed, plus 1.2 m/s. The speed may change by twice the acceleration limit
     and by 1.5 times the braking limit.
     """
@@ -113,9 +142,16 @@ def _discontinuous(b: Boxes, time: Floats, limits: Limits) -> Bools:
 
 
 def off_road(b: Boxes, judged: Bools, on_road: OnRoad, inset: float = ROAD_TOLERANCE_M) -> Bools:
-    """The steps of ``judged`` at which a corner is off the drivable area, in the shape of the positions.
+    """Find the steps at which a corner is off the drivable area.
 
-    inset: the corners are drawn in by this on each side [m]. ``on_road(x, y)`` says which points are drivable.
+    Args:
+        b: Boxes of any shape.
+        judged: The steps to judge, in the shape of the positions.
+        on_road: Returns which points are drivable.
+        inset: The corners are drawn in by this on each side [m].
+
+    Returns:
+        A flag for each step, in the shape of the positions; False for steps that are not judged.
     """
     boxes = pick(b, judged)
     points = corners(replace(boxes, length=boxes.length - 2 * inset, width=boxes.width - 2 * inset))
@@ -125,7 +161,7 @@ def off_road(b: Boxes, judged: Bools, on_road: OnRoad, inset: float = ROAD_TOLER
 
 
 def on_the_road(boxes: Boxes, points: Floats, on_road: OnRoad) -> Bools:
-    """Which of the points ``(..., k, 2)`` of boxes ``(...)`` are drivable at the boxes' own heights."""
+    """Return which of the points ``(..., k, 2)`` of boxes ``(...)`` are drivable at the boxes' own heights."""
     x, y = points[..., 0], points[..., 1]
     if not np.ndim(boxes.z):
         return np.asarray(on_road(x, y))
@@ -133,20 +169,37 @@ def on_the_road(boxes: Boxes, points: Floats, on_road: OnRoad) -> Bools:
 
 
 def third_party(adversary: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
-    """Whether each adversary touches the other vehicle of its row before ``end`` ``(n,)`` [s], ``(n,)``.
+    """Return whether each adversary touches the other vehicle of its row.
 
-    Both boxes are ``(n, steps)`` at ``time`` ``(steps,)`` [s]. A contact that exists at the first step does not count,
-    because logs hold boxes that overlap all the time.
+    A contact that exists at the first step does not count, because some boxes in logs overlap all the time.
+
+    Args:
+        adversary: n adversaries, arrays ``(n, steps)``.
+        other: One other vehicle for each ``(n, steps)``.
+        time: Times of the steps ``(steps,)`` [s].
+        end: Only contacts before this count ``(n,)`` [s].
+
+    Returns:
+        A flag for each row ``(n,)``.
     """
     when = first_contact(adversary, other, time)
     return np.asarray((when > time[0]) & (when < end))
 
 
 def near_pairs(adversary: Boxes, others: Boxes, time: Floats, end: Floats) -> tuple[Ints, Ints]:
-    """The pairs of adversaries ``(n, steps)`` and others ``(m, steps)`` that may touch by ``end`` ``(n,)`` [s].
+    """Find the pairs of adversaries and other vehicles that may touch.
 
-    Returns the pairs' rows in ``adversary`` and in ``others``. It leaves out the pairs that are too far apart at every
-    step to touch even between steps, which is most of them, so that :func:`third_party` need not judge these.
+    Pairs that are too far apart at every step to touch even between steps are left out. These are most pairs, so
+    :func:`third_party` has little left to judge.
+
+    Args:
+        adversary: n adversaries, arrays ``(n, steps)``.
+        others: m other vehicles, arrays ``(m, steps)``.
+        time: Times of the steps ``(steps,)`` [s].
+        end: Only contacts until this count ``(n,)`` [s].
+
+    Returns:
+        The pairs' rows in ``adversary`` and in ``others``.
     """
     reach, reaches = _reach(adversary), _reach(others)
     stops = np.searchsorted(time, end, side="right") + 1
@@ -160,9 +213,9 @@ def near_pairs(adversary: Boxes, others: Boxes, time: Floats, end: Floats) -> tu
 
 
 def _reach(b: Boxes) -> Floats:
-    """How far a box reaches from its centre at the nearest step [m]: half its diagonal and half its longest step."""
+    """Return the reach of a box from its centre at the nearest step [m]: half its diagonal plus half its longest step."""
     step = np.hypot(np.diff(b.x, axis=1), np.diff(b.y, axis=1))
-    longest = np.fmax.reduce(step, axis=1, initial=0.0)  # steps at which the vehicle is not there are NaN
+    longest = np.fmax.reduce(step, axis=1, initial=0.0)  # steps at which the vehicle is absent are NaN
     return np.asarray(np.broadcast_to(half_diagonal(b), b.x.shape)[:, 0] + longest / 2)
 
 
@@ -176,12 +229,21 @@ def failed_gates(
     end: float | None,
     start: float | None = None,
 ) -> tuple[str, ...]:
-    """The names of the gates (of ``GATES``) that the adversary fails between ``start`` and ``end`` [s].
+    """Return the gates that an adversary fails.
 
-    start: the trigger. By default it is the third state, so that the first steps are judged against two states of
-    history. end: the first contact with the ego, None for the end of the shorter track. ``on_road(x, y)`` says which
-    points are drivable; None leaves that gate out, and so does a pedestrian or cyclist: both may be
-    beside the road.
+    Args:
+        adversary: The adversary's track.
+        limits: The limits of its motion.
+        on_road: Returns which points are drivable; None leaves out that gate. The gate is also left out for a
+            pedestrian or cyclist, because both may be beside the road.
+        ego: The ego's track.
+        others: The tracks of third parties.
+        end: The first contact with the ego [s]; None for the end of the shorter track.
+        start: The trigger [s]. By default, it is the third state, so that the first steps are judged against two states
+            of history.
+
+    Returns:
+        The names of the gates that the motion between ``start`` and ``end`` fails, in the order of ``GATES``.
     """
     start = float(adversary.time[min(2, len(adversary.time) - 1)]) if start is None else start
     end = float(min(ego.time[-1], adversary.time[-1])) if end is None else end
@@ -211,9 +273,19 @@ def all_failed_gates(
     end: float,
     start: float,
 ) -> tuple[str, ...]:
-    """As :func:`failed_gates`, also for the supports, which are among the ``others``.
+    """Return the gates that the adversary or one of its supports fails; see :func:`failed_gates`.
 
-    Adversaries that touch each other, and a support that touches the ego first, fail ``third_party``.
+    Adversaries that touch each other fail ``third_party``. So does a support that touches the ego first.
+
+    Args:
+        adversary: The track of the vehicle that collides with the ego.
+        supports: The tracks of the supports, which are among the ``others``, too.
+        limits: The limits of their motion.
+        on_road: Returns which points are drivable; None leaves out that gate.
+        ego: The ego's track.
+        others: The tracks of all vehicles near the ego.
+        end: When the judged motion ends [s].
+        start: When the judged motion begins [s].
     """
     failed = set(failed_gates(adversary, limits, on_road=on_road, ego=ego, others=others, end=end, start=start))
     for support in supports:
@@ -223,7 +295,7 @@ def all_failed_gates(
 
 
 def _touches(adversary: Track, others: Sequence[Track], end: float) -> bool:
-    """Whether the adversary touches any of the others before ``end`` [s]."""
+    """Return whether the adversary touches any of the others before ``end`` [s]."""
     if not others or len(adversary.time) < 2:
         return False
     boxes, around, time = row_of(adversary), on_grid(others, adversary.time), adversary.time
@@ -231,15 +303,28 @@ def _touches(adversary: Track, others: Sequence[Track], end: float) -> bool:
     return bool(third_party(pick(boxes, row), pick(around, column), time, np.array(end)).any())
 
 
-OFF_ROAD_INSETS_M = (0.25, 0.5, 0.75)  # by which a box is made smaller to see how far it is off the road
-TAKE_OVER_S = 0.15  # after the start: what fails by then was so at the take-over
+OFF_ROAD_INSETS_M = (0.25, 0.5, 0.75)  # a box is made smaller by these to find how far it is off the road
+TAKE_OVER_S = 0.15  # a gate that fails this soon after the start failed at the take-over already
 
 
 def explained_gates(
     adversary: Track, others: Sequence[Track], failed: Sequence[str], limits: Limits, on_road: OnRoad | None,
     start: float, end: float,
 ) -> list[str]:  # fmt: skip
-    """A sentence for each gate of ``failed`` that the motion between ``start`` and ``end`` [s] shows."""
+    """Explain each failed gate in a sentence.
+
+    Args:
+        adversary: The adversary's track.
+        others: The tracks of third parties.
+        failed: The names of the failed gates.
+        limits: The limits of the motion.
+        on_road: Returns which points are drivable.
+        start: When the judged motion begins [s].
+        end: When the judged motion ends [s].
+
+    Returns:
+        A sentence for each gate of ``failed`` that the motion shows.
+    """
     track = adversary.between(start - 2 * TAKE_OVER_S, end)
     if len(track.time) < 3:
         return []

@@ -1,7 +1,7 @@
-"""What a collision says about the ego, as a level.
+"""Decide what a collision says about the ego, as a level.
 
 ========== ==============================================================================================
-level      meaning; every level takes a feasible adversary that does not run into the ego's back
+level      meaning; every level requires a feasible adversary that does not run into the ego's back
 ========== ==============================================================================================
 critical   min TTC at most the threshold, or a contact
 collision  contact
@@ -13,8 +13,8 @@ serious    strict, human, and a delta-v of the ego of at least 5 mph (2.24 m/s);
 ========== ==============================================================================================
 
 A driver avoids a collision if it does so in each check that was made. The kinematic check
-(:mod:`sumo_adv.metrics.reference.counterfactual`) repeats the adversary's motion and is made of every collision. The
-check in the loop (``episode/references.py``) lets the adversary plan again; it is made whenever a level is claimed.
+(:mod:`sumo_adv.metrics.reference.counterfactual`) repeats the adversary's motion and is made for every collision. The
+check in the loop (``episode/references.py``) lets the adversary plan again. It is made whenever a level is claimed.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from sumo_adv.metrics.reference.view import EgoPaths
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V_M_S
 
 STATIONARY_SPEED_M_S, STATIONARY_FOR_S = 0.5, 1.0  # before the contact
-SERIOUS_RISK = 0.1  # of a serious injury of a pedestrian or cyclist
-BLOCKING_EGO_BRAKING_M_S2 = 3.0  # with which a blocking ego could have stopped before the junction
+SERIOUS_RISK = 0.1  # -, risk of a serious injury of a pedestrian or cyclist
+BLOCKING_EGO_BRAKING_M_S2 = 3.0  # an ego that blocks the junction could have stopped before it with this braking
 JUNCTION_PREFIX = ":"  # of SUMO's internal lanes
 
 
@@ -51,22 +51,22 @@ def level_of(verdict: Verdict) -> Level:
 
 
 def _hard(verdict: Verdict) -> bool:
-    """Whether the collision is hard enough for the level ``serious``."""
+    """Return whether the collision is hard enough for the level ``serious``."""
     if verdict.impact_speed is not None:
         return (verdict.injury_risk or 0.0) >= SERIOUS_RISK - 1e-9
     return (verdict.delta_v or 0.0) >= SERIOUS_DELTA_V_M_S
 
 
 def stationary(ego: Track, contact_time: float) -> bool:
-    """Whether the ego stood throughout the last second before the contact."""
+    """Return whether the ego stood throughout the last second before the contact."""
     last = ego.between(contact_time - STATIONARY_FOR_S, contact_time)
     return bool(len(last.time)) and bool((last.speed < STATIONARY_SPEED_M_S).all())
 
 
 def blocking(ego: Track, contact_time: float) -> bool:
-    """Whether the ego stands in a junction before which it could have stopped.
+    """Return whether the ego stands in a junction before which it could have stopped.
 
-    Needs SUMO's lane ids; without them the answer is no.
+    The check needs SUMO's lane ids; without them the result is False.
     """
     until = ego.between(-np.inf, contact_time)
     if not until.lane or until.speed[-1] >= STATIONARY_SPEED_M_S or not until.lane[-1].startswith(JUNCTION_PREFIX):
@@ -81,7 +81,16 @@ def blocking(ego: Track, contact_time: float) -> bool:
 
 
 def ahead_in_lane(ego: Track, adversary: Track, lane_half_width: float) -> Bools:
-    """In which of its steps the adversary is ahead of the ego in the ego's lane, going its way, ``(n,)``."""
+    """Find the steps in which the adversary is ahead of the ego in the ego's lane and goes the same way.
+
+    Args:
+        ego: The ego's track.
+        adversary: The adversary's track, n steps.
+        lane_half_width: Half the width of the ego's lane [m].
+
+    Returns:
+        A flag for each of the adversary's steps ``(n,)``.
+    """
     common = np.clip(np.searchsorted(ego.time, adversary.time - 5e-4), 0, len(ego.time) - 1)
     if len(ego.time) < 2:
         return np.zeros(len(adversary.time), bool)

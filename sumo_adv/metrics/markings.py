@@ -1,7 +1,7 @@
-"""Which markings a vehicle's box centre crossed, from the geometry of lanes alone.
+"""Find the road markings that a vehicle's box centre crossed, from the geometry of lanes alone.
 
-SUMO networks hold no paint: between lanes of one direction there is taken to be a broken line, towards a lane of the
-other direction a centre line, and where the drivable area ends an edge.  Inside junctions there are none.
+SUMO networks contain no markings, so they are assumed: a broken line between lanes of one direction, a centre line
+towards a lane of the other direction, and an edge at the end of the drivable area. Junctions have none inside.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from sumo_adv.geometry import same_layer, wrap_below_pi
 from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.contact import OPPOSITE_DIRECTION, SAME_DIRECTION
 
-LANE_END_M = 1e-6  # a point nearest to a lane's very end lies before or past it
+LANE_END_M = 1e-6  # a point farther than this beyond a lane's end lies before or past the lane
 
 
 class Marking(StrEnum):
-    """What was crossed."""
+    """The kind of marking that was crossed."""
 
     LANE_LINE = "lane_line"
     CENTRE_LINE = "centre_line"
@@ -31,17 +31,27 @@ class Marking(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """The first step [s] at which the box centre is past a marking."""
+    """A crossed marking.
+
+    Attributes:
+        time: The first step at which the box centre is past the marking [s].
+        kind: The kind of marking.
+    """
 
     time: float
     kind: Marking
 
 
 def markings_crossed(track: Track, strips: Sequence[LaneStrip], on_road: OnRoad | None = None) -> list[Crossing]:
-    """All markings that the box centre crossed over a track, in order.
+    """Return all markings that the box centre crossed, in order.
 
-    A line between lanes is crossed where the centre is in another lane while it is still abreast of the one it was in
-    last: driving on into the next lane of a road, or through a junction, crosses none.
+    A line between lanes is crossed if the centre is in another lane while it is still abreast of its last lane. Driving
+    on into the next lane of a road, or through a junction, therefore crosses no line.
+
+    Args:
+        track: The vehicle's track.
+        strips: The lanes near the track.
+        on_road: Returns which points are drivable; None leaves out road edges.
     """
     open_road = [s for s in strips if not s.internal]
     abreast, offset, heading = _project(track, open_road)
@@ -66,7 +76,12 @@ def markings_crossed(track: Track, strips: Sequence[LaneStrip], on_road: OnRoad 
 
 
 def _project(track: Track, strips: Sequence[LaneStrip]) -> tuple[Bools, Floats, Floats]:
-    """For each strip and step ``(k, n)``: neither before nor past its ends, lateral offset [m], its direction [rad]."""
+    """Project a track on strips; return, for each strip and step ``(k, n)``, how the track lies to it.
+
+    Returns:
+        Whether the track is neither before nor past the strip's ends, the lateral offset [m], and the strip's direction
+        [rad].
+    """
     shape = (len(strips), len(track.time))
     abreast, offset, heading = np.zeros(shape, dtype=bool), np.full(shape, np.inf), np.zeros(shape)
     for row, strip in enumerate(strips):
@@ -84,13 +99,13 @@ def _project(track: Track, strips: Sequence[LaneStrip]) -> tuple[Bools, Floats, 
         abreast[row] = ~(before | beyond)
         if strip.shape.shape[1] > 2:
             abreast[row] &= same_layer(strip.shape[nearest, 2], track.z)
-        offset[row] = np.where(past[at] == 0, across[at], away[at])  # outside a bend's corner: to the corner itself
+        offset[row] = np.where(past[at] == 0, across[at], away[at])  # outside a bend: the distance to the corner
         heading[row] = np.arctan2(uy, ux)[nearest]
     return abreast, offset, heading
 
 
 def _lane_of(abreast: Bools, offset: Floats, strips: Sequence[LaneStrip]) -> NDArray[np.intp]:
-    """The strip with the nearest centre line, in its widths, at each step ``(n,)``; -1 where no strip holds it."""
+    """Return the strip with the nearest centre line, in its widths, at each step ``(n,)``; -1 if no strip holds it."""
     if not strips:
         return np.full(abreast.shape[1], -1)
     width = np.array([[s.width] for s in strips])

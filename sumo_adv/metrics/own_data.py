@@ -1,8 +1,8 @@
-"""Data of users' own: tracks from arrays or a table, as verdicts take them; and standard cut-ins.
+"""Users' own data: tracks from arrays or a table, as verdicts need them; and standard cut-ins.
 
-Cut-ins are for comparing reference drivers with other implementations of them.  Lanes are 3.5 m wide, both boxes
-4.3 x 1.9 m, steps 0.1 s.  The other vehicle is in the lane beside the ego's, ``gap`` m ahead (bumper to bumper), at
-constant speed; it moves sideways at a constant speed until it is in the middle of the ego's lane.  The ego keeps its
+The cut-ins serve to compare reference drivers with other implementations of them. Lanes are 3.5 m wide, both boxes
+4.3 x 1.9 m, and steps 0.1 s. The other vehicle is in the lane beside the ego's, ``gap`` m ahead (bumper to bumper), at
+constant speed. It moves sideways at a constant speed until it is in the middle of the ego's lane. The ego keeps its
 speed unless a driver reacts.
 """
 
@@ -24,16 +24,23 @@ from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.road_users import unprotected
 
 NEEDED_COLUMNS = ("time", "x", "y", "heading", "speed")
-DEFAULT_LENGTH_M, DEFAULT_WIDTH_M = 4.8, 1.8  # where a table does not say
+DEFAULT_LENGTH_M, DEFAULT_WIDTH_M = 4.8, 1.8  # if the table has no such column
 MIN_TRACK_STATES = 4
 
 
 def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
-    """A track from columns by name: time [s] on a regular grid, x, y of the box's centre [m], heading [rad], speed
-    [m/s], and if given length and width [m], lane and z, the height of the road [m].
+    """Make a track from columns.
 
-    Raises UsageError: a column is missing, too short or of another length, times are not regular, or the track cannot
-    be right (``consistency.py``): a number is not finite, or a unit is wrong.
+    Args:
+        name: The vehicle's id.
+        columns: The columns by name: time [s] on a regular grid; x, y of the box centre [m]; heading [rad]; speed
+            [m/s].
+            Optional: length and width [m], lane, and z, the height of the road [m].
+        role: The vehicle's role.
+
+    Raises:
+        UsageError: A column is missing, too short or of another length, the times are not regular, or the track is
+            implausible (``consistency.py``): a number is not finite, or a unit is wrong.
     """
     values = {}
     for key in (*NEEDED_COLUMNS, *(["z"] if "z" in columns else [])):
@@ -67,7 +74,17 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
 
 
 def columns_by_vehicle(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The columns of each vehicle of a table with the column ``id``, in order of appearance. Raises UsageError."""
+    """Split a table by its column ``id``.
+
+    Args:
+        table: The columns by name.
+
+    Returns:
+        The columns of each vehicle, in order of appearance.
+
+    Raises:
+        UsageError: The table has no column ``id``, or a column of another length.
+    """
     if "id" not in table:
         raise UsageError("The table has no column 'id': it tells the vehicles apart.")
     names = np.array([str(v) for v in table["id"]])
@@ -110,15 +127,22 @@ CASE_COLUMNS = ("ego_kmh", "other_kmh", "gap_m", "lateral_ms")
 ANSWERING_DRIVERS = ("unchanged", *REFERENCE_DRIVERS)
 CASE_BATCH_SIZE = 100
 MAX_CONTACT_TIME_S = 120.0  # a contact that would come later counts as none
-CASE_AFTER_CONTACT_S = 8.0  # how long a case goes on after the unchanged ego's contact
+CASE_AFTER_CONTACT_S = 8.0  # how long a case continues after the unchanged ego's contact
 NO_DRIVER = "none"
 
 
 def judge_cut_ins(cases: Floats) -> list[dict[str, str]]:
-    """For each case, a row of ``CASE_COLUMNS`` ``(n, 4)``: ``none`` or the kind of contact of the unchanged ego and of
-    each reference driver: ``front_to_rear`` (the ego runs into the other's rear), ``side``.
+    """Judge standard cut-ins.
 
-    Raises UsageError: numbers that make no cut-in.
+    Args:
+        cases: Rows of ``CASE_COLUMNS`` ``(n, 4)``.
+
+    Returns:
+        For each case, the kind of contact of the unchanged ego and of each reference driver, by name: ``none``,
+        ``front_to_rear`` (the ego runs into the other vehicle's rear) or ``side``.
+
+    Raises:
+        UsageError: The numbers make no cut-in.
     """
     bad = (cases[:, :2] < 0) | ~np.isfinite(cases[:, :2])
     if bad.any() or not np.isfinite(cases).all() or (cases[:, 2:] <= 0).any():
@@ -131,7 +155,7 @@ def judge_cut_ins(cases: Floats) -> list[dict[str, str]]:
 
 
 def _batches(cases: Floats) -> Iterator[tuple[Ints, float]]:
-    """Rows that take about equally long, and for how long [s] they are rolled out."""
+    """Group rows that take about equally long; yield them with the duration [s] for which they are rolled out."""
     ego, leader, gap, lateral = cases.T
     closing = np.maximum((ego - leader) / 3.6, 1e-9)
     until = np.minimum(np.maximum(gap / closing, 0.0), MAX_CONTACT_TIME_S)
@@ -159,7 +183,12 @@ def _batch(cases: Floats, duration: float) -> list[dict[str, str]]:
 
 
 def encounters(cases: Floats, duration: float) -> Encounters:
-    """The cut-ins of rows of ``CASE_COLUMNS``, rolled out for ``duration`` [s]."""
+    """Roll out cut-ins.
+
+    Args:
+        cases: Rows of ``CASE_COLUMNS`` ``(n, 4)``.
+        duration: For how long they are rolled out [s].
+    """
     time = np.arange(round(duration / CASE_STEP_S) + 1) * CASE_STEP_S
     ego, leader = cases[:, :1] / 3.6, cases[:, 1:2] / 3.6
     zero = np.zeros((len(cases), len(time)))
@@ -185,7 +214,7 @@ def _kinds(check: Counterfactual, ego: Boxes) -> Sequence[str]:
 
 
 def _at(b: Boxes, row: int, time: float) -> Boxes:
-    """A box at a time between steps, as 0-d arrays."""
+    """Return a box at a time between steps, as 0-d arrays."""
     k = min(int(time / CASE_STEP_S + 1e-9), b.x.shape[1] - 2)
     part = time / CASE_STEP_S - k
     x, y, heading, speed = (

@@ -1,6 +1,6 @@
-"""Which reference drivers avoid a collision, by the kinematic check: the adversary's motion is repeated.
+"""Find the reference drivers that avoid a collision, by the kinematic check, which repeats the adversary's motion.
 
-The check itself, for many encounters at once, is :mod:`sumo_adv.metrics.reference.counterfactual`.
+:mod:`sumo_adv.metrics.reference.counterfactual` makes the check itself, for many encounters at once.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from sumo_adv.metrics.reference import REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
 from sumo_adv.metrics.reference.counterfactual import Encounters, driver_outcomes
 from sumo_adv.road_users import RoadUser, road_user
 
-SAME_WAY_M = 3.0  # beside the unattacked way
-PLANNED_S = 0.3  # that a track must go on after the contact to count as planned
+SAME_WAY_M = 3.0  # an ego farther beside its unattacked way goes another way
+PLANNED_S = 0.3  # a track must continue this long after the contact to count as planned
 AVOIDS, COLLIDES, NOT_APPLICABLE = "avoids", "collides", "not_applicable"
 
 
@@ -27,11 +27,12 @@ def preventability(
     """Return which reference drivers avoid a collision.
 
     Args:
-        case: The recorded attempt. The adversary goes on past the contact as it had planned. The ego's way goes on as
-            in ``case.unattacked``, or straight.
+        case: The recorded attempt. The adversary continues past the contact as it had planned. The ego's way continues
+            as in ``case.unattacked``, or straight.
         contact_time: When the ego and the adversary touch [s].
-        driver: The reference driver that drove the ego: it has not avoided the collision.
-        until_avoided: Ask only the drivers that ``counterfactual.answers`` needs to know whether one avoids it.
+        driver: The reference driver that drove the ego. It counts as one that has not avoided the collision.
+        until_avoided: Run only the drivers that ``counterfactual.driver_outcomes`` needs to find whether one avoids the
+            collision.
     """
     given = encounter_of(case, contact_time)
     ruled = has_rule(case.ego, case.adversary, contact_time)
@@ -57,7 +58,12 @@ def preventability(
 
 
 def encounter_of(case: Case, moment: float) -> Encounters:
-    """Return the encounter on the common grid of both tracks, the ego up to the step in which ``moment`` [s] falls."""
+    """Return the encounter on the common grid of both tracks.
+
+    Args:
+        case: The recorded attempt.
+        moment: The ego's track ends with the step that contains this time [s].
+    """
     ego, begin = case.ego, case.begin
     dt = float(np.diff(ego.time).min()) if len(ego.time) > 1 else 0.1
     ego_until, foe = ego.between(begin, moment + dt), case.adversary.between(begin, np.inf)
@@ -72,9 +78,17 @@ def encounter_of(case: Case, moment: float) -> Encounters:
 
 
 def onward_of(ego: Track, unattacked: Track) -> Floats:
-    """Points ``(P, 2)`` [m] of the ego's way past its last state: as it went unattacked, beside that by its offset.
+    """Return the continuation of the ego's way past its last state.
 
-    None where that went another way (more than ``SAME_WAY_M`` m beside, or turned away).
+    The ego continues on its unattacked way, with its present offset from it.
+
+    Args:
+        ego: The ego's track.
+        unattacked: Its motion without the attack.
+
+    Returns:
+        The points ``(P, 2)`` [m]. There are none if the unattacked way is another one: more than ``SAME_WAY_M`` m away,
+        or with another direction.
     """
     x, y, heading = float(ego.x[-1]), float(ego.y[-1]), float(ego.heading[-1])
     moved = np.concatenate([[True], np.hypot(np.diff(unattacked.x), np.diff(unattacked.y)) > 0.01])
@@ -90,16 +104,20 @@ def onward_of(ego: Track, unattacked: Track) -> Floats:
 
 
 def has_rule(ego: Track, adversary: Track, contact_time: float) -> bool:
-    """Whether the drivers for one direction have a rule for the adversary: it goes the ego's way and is no pedestrian.
+    """Return whether the drivers for one direction have a rule for the adversary.
 
-    Their sources are about vehicles that lead or cut in.
+    They have one if the adversary goes the ego's way and is no pedestrian. Their sources cover vehicles that lead or
+    cut in.
     """
     pedestrian = road_user(adversary) is RoadUser.PEDESTRIAN
     return not pedestrian and same_direction(ego, adversary, contact_time)
 
 
 def same_direction(ego: Track, adversary: Track, contact_time: float) -> bool:
-    """Whether the adversary has gone the ego's way over the last second before the contact: cut-in, cut-out, leader."""
+    """Return whether the adversary has gone the ego's way over the last second before the contact.
+
+    It then leads, cuts in or cuts out.
+    """
     e, a = (t.between(contact_time - 1.0, contact_time) for t in (ego, adversary))
     if not len(e.time) or not len(a.time):
         return False

@@ -1,4 +1,4 @@
-"""What the ego did about an attack: how it braked and steered, beyond what it did without the attack."""
+"""Find how the ego reacted to an attack: how it braked and steered, compared with its motion without the attack."""
 
 from __future__ import annotations
 
@@ -15,20 +15,24 @@ from sumo_adv.metrics.reference.cc_human import WANDERING_M
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import EgoPaths
 
-REACTION_BRAKING_M_S2 = 1.0  # more braking than without the attack is a reaction
-MIN_DECELERATION_M_S2 = 0.5  # of an ego that brakes
+REACTION_BRAKING_M_S2 = 1.0  # braking that exceeds that without the attack by this is a reaction
+MIN_DECELERATION_M_S2 = 0.5  # an ego that decelerates less does not brake
 MIN_BRAKING_DURATION_S = 0.2
-MAX_BRAKING_PAUSE_S = 0.5  # a shorter one does not end the braking
+MAX_BRAKING_PAUSE_S = 0.5  # a shorter pause does not end the braking
 STANDS_BELOW_M_S, DRIVES_ABOVE_M_S = 0.1, 1.0
-MIN_SIDE_MOVEMENT_M = 0.03  # beside its way, from which on a movement to the side is seen to have begun
+MIN_SIDE_MOVEMENT_M = 0.03  # a movement to the side begins once the ego is this far beside its way
 
 
 @dataclass(frozen=True, slots=True)
 class Braking:
-    """Braking beyond what the ego did without the attack.
+    """The ego's braking that exceeds its braking without the attack.
 
-    began: when [s]; mean, hardest [m/s2]; let_go: when it ended [s], None where it lasts to the moment; stopped:
-    whether the ego stood until then.
+    Attributes:
+        began: When it began [s].
+        mean: Mean deceleration [m/s2].
+        hardest: Maximum deceleration over ``MIN_BRAKING_DURATION_S`` [m/s2].
+        let_go: When it ended [s]; None if it lasts to the moment. If the ego stopped, when it drove on.
+        stopped: Whether the ego stopped and drove on before the moment.
     """
 
     began: float
@@ -42,7 +46,10 @@ class Braking:
 class Steering:
     """How the ego left its way.
 
-    began: when [s]; shift: how far at the moment [m, left positive]; away: whether that was not towards the adversary.
+    Attributes:
+        began: When it began to leave its way [s].
+        shift: How far it had left its way at the moment [m, left positive].
+        away: Whether it steered away from the adversary, or the adversary was straight ahead or behind.
     """
 
     began: float
@@ -53,10 +60,18 @@ class Steering:
 def braking_of(
     ego: Track, unattacked: Track | None, start: float, moment: float, alarm: float | None, careful: float | None
 ) -> Braking | None:
-    """The ego's braking from ``start`` to ``moment`` [s] that lasts beyond the alarm; None without any.
+    """Find the ego's braking that lasts beyond the alarm.
 
-    unattacked: the ego's motion without the attack, None = at constant speed; alarm: when a danger showed, None = all
-    braking counts, and so does standing; careful: when the careful driver acted, from which on the mean is taken.
+    Args:
+        ego: The ego's track.
+        unattacked: The ego's motion without the attack; None = at constant speed.
+        start: When the attack begins [s].
+        moment: The time of the contact or near miss [s].
+        alarm: When a danger showed [s]; None = all braking counts. Standing always counts.
+        careful: When the careful driver acted [s]; the mean deceleration is taken from then on.
+
+    Returns:
+        The braking; None if there is none.
     """
     driven = ego.between(start, moment)
     if len(driven.time) < 2:
@@ -98,7 +113,7 @@ def braking_of(
 
 
 def _lasting(holds: Bools, least: int) -> Bools:
-    """Without the spells of fewer than ``least`` steps."""
+    """Remove the spells of fewer than ``least`` steps."""
     kept = holds.copy()
     for first, last in _spells(holds, np.zeros(len(holds), bool), 0):
         kept[first:last] = last - first >= least
@@ -106,8 +121,11 @@ def _lasting(holds: Bools, least: int) -> Bools:
 
 
 def _spells(holds: Bools, on: Bools, pause: int) -> list[tuple[int, int]]:
-    """First step and the step after the last one of each spell; it goes on where ``on`` holds, and over a ``pause``
-    of at most this number of steps."""
+    """Return the first step of each spell and the step after its last one.
+
+    A spell begins when ``holds`` is true. It continues while ``on`` is true, and over a ``pause`` of at most that many
+    steps.
+    """
     spells: list[tuple[int, int]] = []
     for k in range(len(holds)):
         goes_on = bool(spells) and spells[-1][1] == k and bool(on[k])
@@ -121,7 +139,20 @@ def _spells(holds: Bools, on: Bools, pause: int) -> list[tuple[int, int]]:
 
 
 def steering_of(ego: Track, adversary: Track, unattacked: Track | None, start: float, moment: float) -> Steering | None:
-    """How the ego left both its way without the attack and the straight on; None where it did not."""
+    """Find how the ego left its way.
+
+    The ego leaves its way if it leaves both its way without the attack and the straight continuation of its heading.
+
+    Args:
+        ego: The ego's track.
+        adversary: The adversary's track.
+        unattacked: The ego's motion without the attack, if known.
+        start: When the attack begins [s].
+        moment: The time of the contact or near miss [s].
+
+    Returns:
+        The steering; None if the ego kept its way within ``WANDERING_M``.
+    """
     driven = ego.between(start, moment)
     if len(driven.time) < 2:
         return None
@@ -130,7 +161,7 @@ def steering_of(ego: Track, adversary: Track, unattacked: Track | None, start: f
     left = straight
     if unattacked is not None:
         left = EgoPaths(row_of(unattacked)).locate(driven.x[None], driven.y[None])[1][0]
-        left = left - left[0]  # as far as it was beside that way at first
+        left = left - left[0]  # relative to the ego's first offset from that way
     least = np.where(np.abs(left) < np.abs(straight), left, straight)
     least = np.where(left * straight > 0.0, least, 0.0)
     if abs(least[-1]) < WANDERING_M:
@@ -145,7 +176,9 @@ def steering_of(ego: Track, adversary: Track, unattacked: Track | None, start: f
 
 
 def missed_on_its_way(case: Case, moment: float) -> bool:
-    """Return whether the ego, as far along its way without the attack at each time, would not have been hit.
+    """Return whether the ego would not have been hit if it had kept its way.
+
+    The ego is moved to its way without the attack, as far along it at each time as it was.
 
     Args:
         case: The recorded attempt.

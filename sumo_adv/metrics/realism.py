@@ -1,6 +1,7 @@
-"""Is the adversary's motion like a person's, and like traffic's.
+"""Measure whether the adversary's motion is like a person's, and like traffic's.
 
-Like a person's: the human envelope, by speed. Bounds, at 5 m/s and below, and at 20 m/s and above, linear between:
+Like a person's: the motion stays within the human envelope, whose bounds depend on speed. The bounds hold at 5 m/s and
+below, and at 20 m/s and above; between these speeds, they are linear:
 
 ================== ============= ============= ====================================================================
 signal             5 m/s         20 m/s        source
@@ -12,14 +13,15 @@ lateral            4.0 m/s2      3.0 m/s2      UN R79 (3 m/s2 for steering funct
 yaw rate           0.8 rad/s     0.15 rad/s    the lateral bound over the speed
 ================== ============= ============= ====================================================================
 
-The standards take their numbers from what drivers do and accept.  A published table of 99.9th percentiles of
-naturalistic driving by speed was not at hand; replace these bounds where you have one.  A signal may be outside for at
-most 0.3 s in total.  Braking up to the gate counts as human while the adversary is ahead in the ego's lane: people
-brake hard for what is before them, and the ego behind them has to cope.
+The standards derive their numbers from the motions that drivers make and accept. A published table of 99.9th
+percentiles of naturalistic driving by speed was not at hand; if you have one, replace these bounds. A signal may be
+outside its bound for at most 0.3 s in total. Braking up to the gate counts as human while the adversary is ahead in the
+ego's lane: people brake hard for what is before them, and the ego behind them has to cope.
 
-Like traffic's: distributions of kinematic features against a reference. The reference is sigma 0.5 traffic or a log
-(sigma 0 traffic has 84 % of its steps at |a| < 0.05: a KL against it means nothing).  Only motion before contact
-counts.  Bins are fixed and smoothed, so figures of different runs compare.
+Like traffic's: the distributions of kinematic features are compared with those of a reference, either traffic with
+sigma 0.5 or a log. (In traffic with sigma 0, 84 % of the steps have |a| < 0.05, so a KL divergence from it means
+nothing.) Only motion before the contact counts. Bins are fixed and smoothed, so the figures of different runs can be
+compared.
 """
 
 from __future__ import annotations
@@ -42,14 +44,20 @@ HUMAN_BOUNDS = {
     "yaw_rate": (0.8, 0.15),
 }  # fmt: skip
 MAX_OUTSIDE_BOUNDS_S = 0.3  # in total
-BRAKING_SPAN_S, JERK_SPAN_S = 0.5, 1.0  # over which means are taken
+BRAKING_SPAN_S, JERK_SPAN_S = 0.5, 1.0  # means are taken over these spans
 
 
 def outside(track: Track, start: float, end: float, excused: Bools | None = None) -> tuple[str, ...]:
-    """Names of the signals that leave the envelope for more than ``MAX_OUTSIDE_BOUNDS_S`` between ``start`` and ``end``
-    [s].
+    """Return the signals that leave the human envelope for more than ``MAX_OUTSIDE_BOUNDS_S``.
 
-    ``excused``: the steps of the track in which braking is not judged, ``(n,)``.
+    Args:
+        track: The vehicle's track, n steps.
+        start: When the judged motion begins [s].
+        end: When the judged motion ends [s].
+        excused: The steps in which braking is not judged ``(n,)``.
+
+    Returns:
+        The names of the signals.
     """
     if len(track.time) < 3:
         return ()
@@ -60,10 +68,16 @@ def outside(track: Track, start: float, end: float, excused: Bools | None = None
 
 
 def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict[str, Bools]:
-    """Which motions ``(n, steps)`` leave the envelope for more than ``MAX_OUTSIDE_BOUNDS_S`` in the ``judged`` steps,
-    by signal.
+    """Return the motions that leave the human envelope for more than ``MAX_OUTSIDE_BOUNDS_S``.
 
-    ``time`` ``(steps,)`` [s], evenly spaced; ``excused`` ``(n, steps)``: where braking is not judged.
+    Args:
+        b: n motions, arrays ``(n, steps)``.
+        time: Evenly spaced times ``(steps,)`` [s].
+        judged: The steps that are judged ``(n, steps)``.
+        excused: The steps in which braking is not judged ``(n, steps)``.
+
+    Returns:
+        For each signal, by name, whether each motion leaves the envelope ``(n,)``.
     """
     dt = float(np.diff(time).min())
     change = np.diff(b.speed, axis=-1, prepend=b.speed[..., :1]) / dt
@@ -81,43 +95,49 @@ def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict
 
 
 def _span_mean(values: Floats, dt: float) -> Floats:
-    """The mean over the last ``BRAKING_SPAN_S`` [s]."""
+    """Return the mean over the last ``BRAKING_SPAN_S``, for steps of ``dt`` [s]."""
     count = max(1, round(BRAKING_SPAN_S / dt))
     padded = np.concatenate([np.repeat(values[..., :1], count - 1, axis=-1), values], axis=-1)
     return np.asarray(sliding_window_view(padded, count, axis=-1).mean(axis=-1))
 
 
 def _span_change(values: Floats, dt: float) -> Floats:
-    """The change over ``JERK_SPAN_S`` [s], per second."""
+    """Return the change over ``JERK_SPAN_S``, per second."""
     back = np.maximum(np.arange(values.shape[-1]) - max(1, round(JERK_SPAN_S / dt)), 0)
     return np.asarray((values - values[..., back]) / JERK_SPAN_S)
 
 
 ABNORMAL_LATERAL_M_S2 = 4.0  # the paper's threshold of abnormal lateral acceleration
-BIN_PSEUDOCOUNT = 0.1  # added to every bin, WOSAC's
+BIN_PSEUDOCOUNT = 0.1  # is added to every bin, as WOSAC does
 
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """``count`` equal bins from ``low`` to ``high`` (SI units); what lies outside goes to the end bins."""
+    """Equal bins of a feature. Values outside go to the end bins.
+
+    Attributes:
+        low: Lower edge of the first bin (SI units).
+        high: Upper edge of the last bin (SI units).
+        count: How many bins there are.
+    """
 
     low: float
     high: float
     count: int
 
     def counts(self, values: Floats) -> Floats:
-        """How many finite values lie in each bin ``(count,)``."""
+        """Count the finite values in each bin ``(count,)``."""
         edges = np.linspace(self.low, self.high, self.count + 1)
         finite = values[np.isfinite(values)]
         return np.asarray(np.histogram(np.clip(finite, self.low, self.high), edges)[0], dtype=float)
 
     def histogram(self, values: Floats) -> Floats:
-        """Smoothed probabilities ``(count,)`` of finite values."""
+        """Return the smoothed probabilities ``(count,)`` of finite values."""
         return smoothed_probabilities(self.counts(values))
 
 
 def smoothed_probabilities(counts: Floats) -> Floats:
-    """Probabilities of bins: counts + 0.1, normalised."""
+    """Return the probabilities of bins: counts + 0.1, normalised."""
     return np.asarray((counts + BIN_PSEUDOCOUNT) / (counts + BIN_PSEUDOCOUNT).sum())
 
 
@@ -129,7 +149,7 @@ PAPER_BINS: Mapping[str, Bins] = {
     "yaw_rate": Bins(-1.0, 1.0, 40),  # rad/s
     "curvature": Bins(0.0, 0.25, 25),  # 1/m
 }
-"""The paper gives KL of speed and acceleration and not its bins: these are ours, fixed."""
+"""The paper gives the KL divergence of speed and acceleration, but not its bins. These are our own, fixed bins."""
 
 WOSAC_BINS: Mapping[str, Bins] = {
     "linear_speed": Bins(0.0, 25.0, 10),  # m/s
@@ -140,22 +160,31 @@ WOSAC_BINS: Mapping[str, Bins] = {
     "time_to_collision": Bins(0.0, 5.0, 10),  # s
     "distance_to_road_edge": Bins(-20.0, 40.0, 10),  # m, negative off the road
 }
-"""Waymo Open Sim Agents Challenge 2024 config: bins as published, pseudocount 0.1."""
+"""The bins of the Waymo Open Sim Agents Challenge 2024 as published in its config; the pseudocount is 0.1."""
 
 
 def kl(p: Floats, q: Floats) -> float:
-    """Kullback-Leibler divergence sum p ln(p/q) [nat] of two smoothed histograms (adversarial, reference)."""
+    """Return the Kullback-Leibler divergence of two smoothed histograms: sum p ln(p/q) [nat].
+
+    Args:
+        p: The adversarial histogram.
+        q: The reference histogram.
+    """
     return float(np.sum(p * np.log(p / q)))
 
 
 def jensen_shannon(p: Floats, q: Floats) -> float:
-    """Jensen-Shannon divergence [nat], symmetric, at most ln 2."""
+    """Return the Jensen-Shannon divergence of two smoothed histograms [nat]. It is symmetric and at most ln 2."""
     middle = (p + q) / 2
     return (kl(p, middle) + kl(q, middle)) / 2
 
 
 def wasserstein(a: Floats, b: Floats) -> float:
-    """Wasserstein-1 distance of two samples, in their own unit: the area between their distribution functions."""
+    """Return the Wasserstein-1 distance of two samples in their own unit: the area between their distribution functions.
+
+    Raises:
+        UsageError: A sample has no finite value.
+    """
     first, second = np.sort(a[np.isfinite(a)]), np.sort(b[np.isfinite(b)])
     if not first.size or not second.size:
         raise UsageError("A distance of distributions needs values on both sides; one of them has none.")
@@ -168,7 +197,15 @@ def wasserstein(a: Floats, b: Floats) -> float:
 
 
 def pooled_features(tracks: Sequence[Track], end: float | None = None) -> dict[str, Floats]:
-    """Pooled samples of every feature of ``PAPER_BINS`` (lateral as magnitude) before ``end`` [s]."""
+    """Pool samples of every feature of ``PAPER_BINS`` (lateral acceleration as magnitude).
+
+    Args:
+        tracks: The tracks.
+        end: Only motion up to this time counts [s].
+
+    Returns:
+        The samples of all tracks by feature.
+    """
     pooled: dict[str, list[Floats]] = {name: [] for name in PAPER_BINS}
     for track in tracks:
         part = track if end is None else track.between(-np.inf, end)
@@ -184,9 +221,16 @@ def pooled_features(tracks: Sequence[Track], end: float | None = None) -> dict[s
 def wosac_features(
     track: Track, others: Sequence[Track] = (), road_distance: Callable[[Floats, Floats], Floats] | None = None
 ) -> dict[str, Floats]:
-    """WOSAC's kinematic, interaction and map features of one track, each ``(n,)`` or shorter where differenced.
+    """Return WOSAC's kinematic, interaction and map features of one track.
 
-    ``road_distance(x, y)``: signed distance [m] to the road's edge, positive on the road; the least of the corners.
+    Args:
+        track: The track, n steps.
+        others: The other vehicles.
+        road_distance: Returns the signed distance [m] of points (x, y) to the road's edge, positive on the road. The
+            feature is the minimum over the corners.
+
+    Returns:
+        The values ``(n,)`` of each feature that can be computed.
     """
     dt = float(track.time[1] - track.time[0])
     speed = np.hypot(np.gradient(track.x, dt), np.gradient(track.y, dt))
@@ -210,7 +254,16 @@ def wosac_features(
 def distances(
     sample: Mapping[str, Floats], reference: Mapping[str, Floats], bins: Mapping[str, Bins]
 ) -> dict[str, float]:
-    """``<feature>_kl``, ``_js``, ``_wasserstein`` for every feature that both sides have samples of."""
+    """Compare two samples of features.
+
+    Args:
+        sample: The adversarial values by feature.
+        reference: The reference values by feature.
+        bins: The bins of the features.
+
+    Returns:
+        ``<feature>_kl``, ``<feature>_js`` and ``<feature>_wasserstein`` for every feature of which both have values.
+    """
     out: dict[str, float] = {}
     for name, b in bins.items():
         samples, references = sample.get(name, np.zeros(0)), reference.get(name, np.zeros(0))
@@ -232,9 +285,19 @@ def realism(
     end: float | None = None,
     on_road: Callable[[Floats, Floats], Bools] | None = None,
 ) -> dict[str, float]:
-    """The realism block of an outcome: distances of every feature, share of |a_lat| > 4 m/s2, off-road share.
+    """Return the realism block of an outcome.
 
-    ``end``: the contact, after which the adversary's motion does not count.  Raises UsageError without a reference.
+    Args:
+        adversarial: The adversaries' tracks.
+        reference: The reference tracks.
+        end: The contact, after which the adversary's motion does not count [s].
+        on_road: Returns which points are drivable.
+
+    Returns:
+        The distances of every feature, the share of |a_lat| > 4 m/s2 in both, and the figures of ``own_figures``.
+
+    Raises:
+        UsageError: One side has no track of at least two steps.
     """
     attacked, unattacked = pooled_features(adversarial, end), pooled_features(reference)
     if not unattacked["speed"].size or not attacked["speed"].size:
@@ -247,9 +310,19 @@ def realism(
 def own_figures(
     tracks: Sequence[Track], *, end: float | None = None, on_road: Callable[[Floats, Floats], Bools] | None = None
 ) -> dict[str, float]:
-    """What needs no reference: share of |a_lat| > 4 m/s2, largest magnitudes, off-road share of the box centres.
+    """Return the realism figures that need no reference.
 
-    Raises UsageError where no track has two steps before ``end``.
+    Args:
+        tracks: The tracks.
+        end: Only motion up to this time counts [s].
+        on_road: Returns which points are drivable.
+
+    Returns:
+        The share of |a_lat| > 4 m/s2, the largest magnitudes and, with ``on_road``, the off-road share of the box
+        centres.
+
+    Raises:
+        UsageError: No track has two steps before ``end``.
     """
     values = pooled_features(tracks, end)
     if not values["speed"].size:
