@@ -213,7 +213,10 @@ def near_pairs(adversary: Boxes, others: Boxes, time: Floats, end: Floats) -> tu
 
 
 def _reach(b: Boxes) -> Floats:
-    """Return the reach of a box from its centre at the nearest step [m]: half its diagonal plus half its longest step."""
+    """Return how far a box reaches from its centre at the nearest step [m].
+
+    It is half the diagonal of the box plus half its longest step.
+    """
     step = np.hypot(np.diff(b.x, axis=1), np.diff(b.y, axis=1))
     longest = np.fmax.reduce(step, axis=1, initial=0.0)  # steps at which the vehicle is absent are NaN
     return np.asarray(np.broadcast_to(half_diagonal(b), b.x.shape)[:, 0] + longest / 2)

@@ -180,7 +180,7 @@ def jensen_shannon(p: Floats, q: Floats) -> float:
 
 
 def wasserstein(a: Floats, b: Floats) -> float:
-    """Return the Wasserstein-1 distance of two samples in their own unit: the area between their distribution functions.
+    """Return the Wasserstein-1 distance of two samples in their unit: the area between their distribution functions.
 
     Raises:
         UsageError: A sample has no finite value.

@@ -1,7 +1,7 @@
-"""How severe a collision is: a planar impact of two rigid bodies, and the injury risk that its delta-v stands for.
+"""Measure how severe a collision is: the planar impact of two rigid bodies, and the injury risk at its delta-v.
 
 Impact: two-body planar impulse along the contact normal at the contact point (Brach and Brach 2011, "Vehicle Accident
-Analysis and Reconstruction Methods", chapter 6), with yaw inertia, restitution 0.1 and no friction.  With unit normal n
+Analysis and Reconstruction Methods", chapter 6), with yaw inertia, restitution 0.1 and no friction. With unit normal n
 from the ego to the adversary, levers r, masses m, yaw inertias I and closing speed u at the contact point along n:
 
     impulse J = (1 + e) u / (1 / m_a + 1 / m_b + (r_a x n)^2 / I_a + (r_b x n)^2 / I_b),   delta-v = J / m
@@ -9,15 +9,15 @@ from the ego to the adversary, levers r, masses m, yaw inertias I and closing sp
 A sideswipe at equal speeds has almost no closing speed along its normal, and so almost no delta-v.
 
 Injury risk: Lubbe et al. 2022 (Traffic Safety Research 2, 000006), serious injury (MAIS3+F) of a car driver in a
-frontal collision with a car, logistic in the closing speed with a slope of 0.041 per km/h and 10 % at 112 km/h.  The
-closing speed is taken as twice the delta-v: that of two equal cars head-on.  It is a yardstick for ordering, not a
-prediction for side impacts or trucks.
+frontal collision with a car, logistic in the closing speed with a slope of 0.041 per km/h and 10 % at 112 km/h. The
+closing speed is taken as twice the delta-v, as for two equal cars head-on. The risk serves to order collisions; it does
+not predict injuries in side impacts or with trucks.
 
-Where the ego hits a pedestrian, a cyclist or a motorcyclist, the risk is theirs: a serious injury (MAIS3+F) at the
-impact speed, which is the closing speed along the contact normal.  The same study gives 10 % at 29 km/h for
-pedestrians, at 44 km/h for cyclists and at 48 km/h for motorcyclists hit by the front of a car.  Its slopes were not at
-hand; that of Rosen and Sander 2009 (Accident Analysis and Prevention 41, 536-542; fatality of adult pedestrians, 0.090
-per km/h) stands for all.  The level ``serious`` depends on the speed of 10 % alone.
+If the ego hits a pedestrian, a cyclist or a motorcyclist, the risk is theirs: a serious injury (MAIS3+F) at the impact
+speed, which is the closing speed along the contact normal. The same study gives 10 % at 29 km/h for pedestrians, at
+44 km/h for cyclists and at 48 km/h for motorcyclists hit by the front of a car. Its slopes were not at hand. The slope
+of Rosen and Sander 2009 (Accident Analysis and Prevention 41, 536-542; fatality of adult pedestrians, 0.090 per km/h)
+is used for all three. The level ``serious`` depends on the speed of 10 % alone.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from sumo_adv.road_users import RoadUser, Sized, is_motorcycle, road_user
 
 RESTITUTION = 0.1
 RISK_SLOPE_PER_KMH = 0.041
-CLOSING_SPEED_OF_TENTH_RISK_KMH = 112.0  # at which the risk is 10 %
+CLOSING_SPEED_OF_TENTH_RISK_KMH = 112.0  # the risk is 10 % at this speed
 UNPROTECTED_SLOPE_PER_KMH = 0.090
-TENTH_RISK_SPEED_KMH = {RoadUser.PEDESTRIAN: 29.0, RoadUser.CYCLIST: 44.0}  # of the impact, at which the risk is 10 %
+TENTH_RISK_SPEED_KMH = {RoadUser.PEDESTRIAN: 29.0, RoadUser.CYCLIST: 44.0}  # the risk is 10 % at this impact speed
 MOTORCYCLIST_TENTH_RISK_SPEED_KMH = 48.0
 SERIOUS_DELTA_V_M_S = 2.24  # 5 mph
 MASS_KG_BY_LENGTH_M = (
@@ -52,8 +52,11 @@ MASS_KG_BY_LENGTH_M = (
     (9.0, 7500.0),
     (math.inf, 16000.0),
 )
-"""Mass [kg] by vehicle length [m] up to that: pedestrian, bicycle, moped and motorcycle with rider, small car, car,
-van, light truck, bus or truck; kerb masses of common vehicles of each class with a driver."""
+"""Mass [kg] of vehicles up to a length [m].
+
+The classes are pedestrian, bicycle, moped or motorcycle with rider, small car, car, van, light truck, and bus or truck.
+The masses are kerb masses of common vehicles with a driver.
+"""
 
 
 class Severity(StrEnum):
@@ -67,7 +70,20 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Crash:
-    """The impact of ego and adversary.  Speeds m/s; ``closing``: along the contact normal, at the contact point."""
+    """The impact of the ego and the adversary.
+
+    Attributes:
+        ego_delta_v: The ego's delta-v [m/s].
+        adversary_delta_v: The adversary's delta-v [m/s].
+        closing: Closing speed along the contact normal, at the contact point [m/s].
+        ego_side: The side of the ego that is hit.
+        adversary_side: The side of the adversary that is hit.
+        severity: The class of the larger delta-v.
+        overlap: Share of the narrower of the two touching faces that meets the other one, [0, 1].
+        injury_risk: Risk of a serious injury, [0, 1]: of the unprotected road user that is hit or, without one, of the
+            ego's driver.
+        impact_speed: ``closing``, if the adversary does not protect its driver; otherwise None [m/s].
+    """
 
     ego_delta_v: float
     adversary_delta_v: float
@@ -75,18 +91,18 @@ class Crash:
     ego_side: Side
     adversary_side: Side
     severity: Severity
-    overlap: float  # share of the narrower of the two touching faces that meets the other, [0, 1]
-    injury_risk: float  # of the unprotected road user that is hit, else of the ego's driver, [0, 1]
-    impact_speed: float | None  # ``closing``, where the adversary is no vehicle that protects its driver; else None
+    overlap: float
+    injury_risk: float
+    impact_speed: float | None
 
 
 def mass_of(length: float) -> float:
-    """Mass [kg] of a vehicle of a length [m]."""
+    """Return the mass [kg] of a vehicle of a length [m]."""
     return next(mass for longest, mass in MASS_KG_BY_LENGTH_M if length < longest)
 
 
 def severity_of(delta_v: float) -> Severity:
-    """The class of a delta-v [m/s]."""
+    """Return the class of a delta-v [m/s]."""
     for limit, name in ((1, Severity.NEGLIGIBLE), (5, Severity.MINOR), (15, Severity.MODERATE)):
         if delta_v < limit * MPH_M_S:
             return name
@@ -94,41 +110,72 @@ def severity_of(delta_v: float) -> Severity:
 
 
 def injury_risk(delta_v: float) -> float:
-    """Probability of a serious injury (MAIS3+F) of a car driver at a delta-v [m/s]."""
+    """Return the probability of a serious injury (MAIS3+F) of a car driver at a delta-v [m/s]."""
     closing = 2 * delta_v * 3.6
     return 1.0 / (1.0 + math.exp(-(RISK_SLOPE_PER_KMH * (closing - CLOSING_SPEED_OF_TENTH_RISK_KMH) + math.log(1 / 9))))
 
 
 def unprotected_risk(tenth: float, impact_speed: float) -> float:
-    """Probability of a serious injury (MAIS3+F) of one who is hit at a speed [m/s]; ``tenth``: that of 10 % [km/h]."""
+    """Return the probability of a serious injury (MAIS3+F) of a road user that is hit.
+
+    Args:
+        tenth: The speed at which the probability is 10 % [km/h].
+        impact_speed: The impact speed [m/s].
+    """
     beyond = impact_speed * 3.6 - tenth
     return 1.0 / (1.0 + math.exp(-(UNPROTECTED_SLOPE_PER_KMH * beyond + math.log(1 / 9))))
 
 
 def tenth_of(adversary: Sized) -> float | None:
-    """The impact speed [km/h] at which 10 % of those on the adversary are seriously injured: of a pedestrian, cyclist
-    or motorcyclist; None of a vehicle that protects its driver."""
+    """Return the impact speed at which 10 % of the people on the adversary are seriously injured.
+
+    Args:
+        adversary: The adversary, whose size tells its kind.
+
+    Returns:
+        The speed [km/h] for a pedestrian, cyclist or motorcyclist; None for a vehicle that protects its driver.
+    """
     if is_motorcycle(adversary):
         return MOTORCYCLIST_TENTH_RISK_SPEED_KMH
     return TENTH_RISK_SPEED_KMH.get(road_user(adversary))
 
 
 def hardness(crash: Crash, user: RoadUser) -> float:
-    """How hard a crash with an adversary of a kind is, 1 = serious: its share of the serious delta-v, or of the impact
-    speed at which 10 % of pedestrians, cyclists or motorcyclists are seriously injured."""
+    """Return how hard a crash is; 1 = serious.
+
+    Args:
+        crash: The crash.
+        user: The kind of the adversary.
+
+    Returns:
+        The ego's delta-v as a share of the serious one. For an adversary that does not protect its driver, the impact
+        speed as a share of that at which 10 % of such road users are seriously injured.
+    """
     if crash.impact_speed is None:
         return crash.ego_delta_v / SERIOUS_DELTA_V_M_S
     return crash.impact_speed * 3.6 / TENTH_RISK_SPEED_KMH.get(user, MOTORCYCLIST_TENTH_RISK_SPEED_KMH)
 
 
 def crash(ego: Track, adversary: Track, contact_time: float) -> Crash:
-    """The impact at ``contact_time`` [s] of two tracks at their first contact."""
+    """Return the impact of two tracks at their first contact.
+
+    Args:
+        ego: The ego's track.
+        adversary: The adversary's track.
+        contact_time: When they first touch [s].
+    """
     boxes = at_time(ego, contact_time), at_time(adversary, contact_time)
     return crash_of(*boxes, (_yaw_rate(ego, contact_time), _yaw_rate(adversary, contact_time)))
 
 
 def crash_of(ego: Boxes, adversary: Boxes, yaw_rates: tuple[float, float]) -> Crash:
-    """The impact of two boxes at first contact (0-d arrays) that turn with ``yaw_rates`` [rad/s]."""
+    """Return the impact of two boxes at first contact.
+
+    Args:
+        ego: The ego's box (0-d arrays).
+        adversary: The adversary's box (0-d arrays).
+        yaw_rates: The yaw rates of both [rad/s].
+    """
     a, b = ego, adversary
     normal, point = _normal(a, b), contact_point(a, b)
     mass = [mass_of(float(v.length)) for v in (a, b)]
@@ -152,7 +199,7 @@ def crash_of(ego: Boxes, adversary: Boxes, yaw_rates: tuple[float, float]) -> Cr
 
 
 def _overlap(a: Boxes, b: Boxes, normal: tuple[float, float]) -> float:
-    """How much of the narrower box, seen along the contact normal, meets the other one, as a share."""
+    """Return the share of the narrower box, seen along the contact normal, that meets the other one."""
     spans = []
     for box in (a, b):
         middle = float(box.y) * normal[0] - float(box.x) * normal[1]
@@ -165,7 +212,7 @@ def _overlap(a: Boxes, b: Boxes, normal: tuple[float, float]) -> float:
 
 
 def _normal(a: Boxes, b: Boxes) -> tuple[float, float]:
-    """Unit vector from a to b across the faces that touch: the axis along which the boxes are last apart."""
+    """Return the unit vector from a to b across the faces that touch: the axis on which the boxes were last apart."""
     across = int(np.argmax([float(v) for v in axis_separations(a, b)]))
     heading = float(a.heading if across < 2 else b.heading) + (0.0 if across % 2 == 0 else math.pi / 2)
     n = math.cos(heading), math.sin(heading)
@@ -174,7 +221,7 @@ def _normal(a: Boxes, b: Boxes) -> tuple[float, float]:
 
 
 def _yaw_rate(track: Track, time: float) -> float:
-    """The yaw rate [rad/s] over the step before ``time``."""
+    """Return the yaw rate [rad/s] over the step before ``time``."""
     k = int(np.clip(np.searchsorted(track.time, time - 1e-9) - 1, 0, max(len(track.time) - 2, 0)))
     if len(track.time) < 2:
         return 0.0

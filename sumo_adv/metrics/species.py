@@ -1,19 +1,20 @@
-"""When a hunt may stop: distinct failures are species, encounters are samples.
+"""Estimate when a hunt may stop: distinct failures are species, encounters are samples.
 
 ========================= ============================================================================================
 figure                    source
 ========================= ============================================================================================
 chance of a new kind      Good-Turing (Good 1953): the share of samples that would have been new had they come last,
                           i.e. that hold a kind that no other sample holds
-least number of kinds     Chao1 (Chao 1984): S + f1^2 / (2 f2); without a kind that was seen twice S + f1 (f1 - 1) / 2.
+least number of kinds     Chao1 (Chao 1984): S + f1^2 / (2 f2); if no kind was seen twice, S + f1 (f1 - 1) / 2.
                           S: kinds seen; f1, f2: kinds in one and in two samples. It is a lower bound
 its interval (95 %)       log-normal (Chao 1987, "Estimating the population size for capture-recapture data with unequal
-                          catchability"); where nothing is missing by the estimate, that of EstimateS (Colwell 2013,
-                          appendix B), which counts with the kinds that chance left out
+                          catchability"); if the estimate is that nothing is missing, the interval of EstimateS
+                          (Colwell 2013, appendix B), which includes the kinds that were missed by chance
 ========================= ============================================================================================
 
-Boehme 2018, "STADS: Software testing as species discovery", uses them for fuzzers. They hold for samples drawn alike. A
-hunt draws more from inputs that brought something new, so that its chance of a new kind is rather too high.
+Boehme 2018, "STADS: Software testing as species discovery", uses these estimates for fuzzers. They hold for samples
+that are drawn in the same way. A hunt draws more from inputs that led to something new, so its estimated chance of a
+new kind is rather too high.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ NORMAL_95 = 1.96  # standard deviations on each side of a 95 % interval
 
 @dataclass(frozen=True, slots=True)
 class Discovery:
-    """What samples say of the kinds that are left.
+    """What samples tell about the kinds that are still to be found.
 
     Attributes:
-        samples: How many samples there are.
-        kinds: Different kinds in them.
-        once: Kinds that are in one sample only.
-        chance: The chance that the next sample brings a new kind; nan without samples.
-        least: A lower bound of the number of kinds there are.
-        low: The lower end of its 95 % interval.
-        high: The upper end of its 95 % interval; inf if no kind was seen.
+        samples: Number of samples.
+        kinds: Number of different kinds in them.
+        once: Number of kinds that are in one sample only.
+        chance: Chance that the next sample contains a new kind; nan without samples.
+        least: Lower bound of the number of kinds that exist.
+        low: Lower end of the 95 % interval of ``least``.
+        high: Upper end of the 95 % interval of ``least``; inf if no kind was seen.
     """
 
     samples: int
@@ -49,7 +50,7 @@ class Discovery:
     high: float
 
     def as_data(self) -> dict[str, float | int | None]:
-        """The figures by name; those that are not finite are None."""
+        """Return the figures by name; those that are not finite are None."""
         finite = {name: getattr(self, name) for name in ("chance", "least", "low", "high")}
         return {
             "samples": self.samples, "kinds": self.kinds, "once": self.once,
@@ -58,7 +59,7 @@ class Discovery:
 
     @property
     def words(self) -> str:
-        """The chance and the bound, for people."""
+        """The chance and the bound in words."""
         if not self.samples:
             return "no encounter yet"
         chance = f"the next encounter brings a new one with {100 * self.chance:.0f} %"
@@ -91,7 +92,7 @@ def discovery(samples: Sequence[Collection[Hashable]]) -> Discovery:
 
 
 def _variance(f1: int, f2: int, kinds: int) -> float:
-    """The variance of Chao1 (Chao 1987; without a kind that was seen twice, as in EstimateS)."""
+    """Return the variance of Chao1 (Chao 1987; if no kind was seen twice, as in EstimateS)."""
     if f2:
         ratio = f1 / f2
         return f2 * (ratio**2 / 2 + ratio**3 + ratio**4 / 4)
@@ -100,7 +101,7 @@ def _variance(f1: int, f2: int, kinds: int) -> float:
 
 
 def _nothing_missing(frequency: Counter[int], kinds: int, n: int) -> tuple[float, float]:
-    """The interval where the estimate is the number of kinds seen."""
+    """Return the interval if the estimate equals the number of kinds seen."""
     left_out = sum(many * math.exp(-times) for times, many in frequency.items())
     variance = left_out - sum(many * math.exp(-2 * times) for times, many in frequency.items())
     variance -= sum(many * times * math.exp(-times) for times, many in frequency.items()) ** 2 / n

@@ -1,7 +1,7 @@
 """Intervals and tests for every table: Wilson, bootstrap, McNemar, sign flips of paired differences.
 
-All are those of ``scipy.stats``, which is imported where a figure is asked for, since that takes half a second.
-Intervals are those of 95 %.  What is drawn has one seed and is deterministic.
+All are those of ``scipy.stats``. It is imported only when a figure is computed, because the import takes half a second.
+Intervals are 95 % intervals. Random draws use one seed and are deterministic.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 
 CONFIDENCE_LEVEL = 0.95
-BOOTSTRAP_RESAMPLES = 10_000  # as many sign flips make a test exact up to 13 pairs
+BOOTSTRAP_RESAMPLES = 10_000  # this many sign flips make a test exact up to 13 pairs
 MAX_VALUES_AT_ONCE = 1_000_000  # values drawn at a time
 RESAMPLING_SEED = 0
 Summary = Callable[..., Any]  # a numpy function with an ``axis``: mean, median
@@ -27,7 +27,14 @@ Flags = Sequence[bool] | NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value with its confidence interval; ``n`` is what it rests on."""
+    """A value with its confidence interval.
+
+    Attributes:
+        value: The value.
+        low: Lower end of the interval.
+        high: Upper end of the interval.
+        n: The number of observations behind the value.
+    """
 
     value: float
     low: float
@@ -35,14 +42,19 @@ class Estimate:
     n: int
 
     def text(self, digits: int = 2) -> str:
-        """``0.75 (0.70-0.80)``."""
+        """Return the estimate as text, such as ``0.75 (0.70-0.80)``."""
         return f"{self.value:.{digits}f} ({self.low:.{digits}f}-{self.high:.{digits}f})"
 
 
 def wilson(successes: int, n: int) -> Estimate:
-    """A rate with Wilson's score interval (Wilson 1927).
+    """Estimate a rate with Wilson's score interval (Wilson 1927).
 
-    With n = 0: value nan, interval 0 to 1.  Raises UsageError unless 0 <= successes <= n.
+    Args:
+        successes: Number of successes.
+        n: Number of trials. With 0, the value is nan and the interval 0 to 1.
+
+    Raises:
+        UsageError: Not 0 <= successes <= n.
     """
     from scipy.stats import binomtest
 
@@ -51,15 +63,21 @@ def wilson(successes: int, n: int) -> Estimate:
     if n == 0:
         return Estimate(float("nan"), 0.0, 1.0, 0)
     share = successes / n
-    test = binomtest(successes, n, share)  # of its own share: that p is known without a sum
+    test = binomtest(successes, n, share)  # tests its own share, so scipy need not sum up p
     interval = test.proportion_ci(CONFIDENCE_LEVEL, method="wilson")
     return Estimate(share, float(interval.low), float(interval.high), n)
 
 
 def bootstrap(values: Values, *, resamples: int = BOOTSTRAP_RESAMPLES, of: Summary = np.mean) -> Estimate:
-    """The mean (or another summary ``of`` the values) with a percentile bootstrap interval.
+    """Estimate the mean, or another summary, with a percentile bootstrap interval.
 
-    Raises UsageError on no values or on any not finite.
+    Args:
+        values: The values.
+        resamples: Number of resamples.
+        of: The summary, a numpy function with an ``axis``.
+
+    Raises:
+        UsageError: There are no values, or one is not finite.
     """
     data = _finite(values)
     low, high = _percentiles(data, resamples, of)
@@ -74,7 +92,10 @@ def _finite(values: Values) -> Floats:
 
 
 def _percentiles(data: Floats, resamples: int, of: Summary) -> tuple[float, float]:
-    """The percentile bootstrap interval, drawn in portions that keep memory small; of one value this value."""
+    """Return the percentile bootstrap interval; for a single value, that value.
+
+    The resamples are drawn in portions that keep memory small.
+    """
     from scipy.stats import bootstrap as resampled
 
     if len(data) == 1:
@@ -88,7 +109,15 @@ def _percentiles(data: Floats, resamples: int, of: Summary) -> tuple[float, floa
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """Two methods on the same encounters: ``difference`` = first - second, its interval, p (two-sided)."""
+    """A comparison of two methods on the same encounters.
+
+    Attributes:
+        difference: First minus second.
+        low: Lower end of its interval.
+        high: Upper end of its interval.
+        p: Two-sided p.
+        n: Number of encounters.
+    """
 
     difference: float
     low: float
@@ -98,9 +127,16 @@ class Paired:
 
 
 def mcnemar(first: Flags, second: Flags) -> float:
-    """Exact two-sided p of McNemar's test: are successes of two methods on the same encounters equally frequent?
+    """Return the exact two-sided p of McNemar's test: do two methods succeed equally often on the same encounters?
 
-    Binomial on the discordant pairs (McNemar 1947).  Raises UsageError where the lengths differ.
+    The test is binomial on the discordant pairs (McNemar 1947).
+
+    Args:
+        first: Successes of the first method.
+        second: Successes of the second method, in the same order of encounters.
+
+    Raises:
+        UsageError: The lengths differ.
     """
     from scipy.stats import binomtest
 
@@ -111,12 +147,19 @@ def mcnemar(first: Flags, second: Flags) -> float:
 
 
 def paired_means(first: Values, second: Values, *, resamples: int = BOOTSTRAP_RESAMPLES) -> Paired:
-    """Difference of means on the same encounters.
+    """Estimate the difference of means on the same encounters.
 
-    The interval is a percentile bootstrap over encounters.  p is that of the sign-flip test (Fisher 1935): under the
-    hypothesis of no difference, each encounter's difference is as likely to have the other sign.  All flips are counted
-    where ``resamples`` are enough (up to 13 encounters), else that many are drawn.
-    Raises UsageError where the lengths differ or values are not finite.
+    The interval is a percentile bootstrap over encounters. p comes from the sign-flip test (Fisher 1935): under the
+    hypothesis of no difference, each encounter's difference is equally likely to have the other sign. If ``resamples``
+    are enough (up to 13 encounters), all flips are counted. Otherwise, ``resamples`` random flips are drawn.
+
+    Args:
+        first: Values of the first method.
+        second: Values of the second method, in the same order of encounters.
+        resamples: Number of resamples and of sign flips.
+
+    Raises:
+        UsageError: The lengths differ, or a value is not finite.
     """
     _same_length(len(first), len(second))
     values, other_values = _finite(first), _finite(second)
@@ -126,9 +169,17 @@ def paired_means(first: Values, second: Values, *, resamples: int = BOOTSTRAP_RE
 
 
 def paired_rates(first: Flags, second: Flags, *, resamples: int = BOOTSTRAP_RESAMPLES) -> Paired:
-    """Difference of rates on the same encounters: percentile bootstrap over encounters, p of McNemar's exact test.
+    """Estimate the difference of rates on the same encounters.
 
-    Raises UsageError where the lengths differ.
+    The interval is a percentile bootstrap over encounters; p comes from McNemar's exact test.
+
+    Args:
+        first: Successes of the first method.
+        second: Successes of the second method, in the same order of encounters.
+        resamples: Number of resamples.
+
+    Raises:
+        UsageError: The lengths differ.
     """
     p = mcnemar(first, second)
     differences = _finite(np.asarray(first, dtype=float) - np.asarray(second, dtype=float))
@@ -137,7 +188,7 @@ def paired_rates(first: Flags, second: Flags, *, resamples: int = BOOTSTRAP_RESA
 
 
 def _sign_flips(differences: Floats, resamples: int) -> float:
-    """Two-sided p of the sign-flip test."""
+    """Return the two-sided p of the sign-flip test."""
     from scipy.stats import permutation_test
 
     if len(differences) == 1:

@@ -1,4 +1,4 @@
-"""The verdict on an attempt: what its recorded motion came to, and the level that it reaches."""
+"""Judge an attempt: derive the verdict from its recorded motion, and the level that it reaches."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sumo_adv.metrics.realism import outside
 from sumo_adv.metrics.severity import crash
 from sumo_adv.road_users import is_unprotected
 
-LARGEST_DRAC_M_S2 = 20.0  # more than any car can do; the rate is unbounded at contact, so larger ones are cut
+LARGEST_DRAC_M_S2 = 20.0  # beyond any car; the rate is unbounded at contact, so larger rates are capped
 
 
 def judge_attempt(
@@ -36,10 +36,12 @@ def judge_attempt(
 
     Args:
         case: The recorded attempt. Its tracks begin at least two steps before the attack.
-        ttc_threshold: The minimum TTC up to which an attempt is critical [s].
+        ttc_threshold: An attempt is critical if its minimum TTC is at most this [s].
         limits: The limits of the adversary's motion.
-        driver: The reference driver that drove the ego, if one did: it has not avoided the collision.
-        all_drivers: Ask every reference driver. Otherwise drivers are asked only as far as the level depends on them.
+        driver: The reference driver that drove the ego, if one did. It counts as one that has not avoided the
+            collision.
+        all_drivers: Whether to run every reference driver. Otherwise, only the drivers that the level depends on are
+            run.
 
     Raises:
         UsageError: The tracks have no step in common after the attack begins.
@@ -93,24 +95,24 @@ def judge_attempt(
 
 
 def with_answers(verdict: Verdict, answers: Preventability) -> Verdict:
-    """Return the verdict with new answers of reference drivers, and the level that follows from them."""
+    """Return the verdict with new results of reference drivers, and with the level that follows from them."""
     return _with_level(replace(verdict, preventability=answers))
 
 
 def _with_level(verdict: Verdict) -> Verdict:
-    """Set the level, which follows from everything else."""
+    """Set the level, which follows from everything else in the verdict."""
     return replace(verdict, level=level_of(verdict))
 
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """Ego and adversary of a case on one grid.
+    """The ego and the adversary of a case on one grid.
 
     Attributes:
-        time: Of the ego's steps ``(n,)`` [s].
+        time: Times of the ego's steps ``(n,)`` [s].
         dt: Step [s].
-        ego: Boxes ``(1, n)``, up to the last step before the contact or the end.
-        adversary: Boxes ``(1, m)``, to the end of its track.
+        ego: The ego's boxes ``(1, n)``, up to the last step before the contact or the end.
+        adversary: The adversary's boxes ``(1, m)``, to the end of its track.
         trigger: The step at which the attack begins.
         contact_time: When the two first touch [s]; None if they never do.
     """
@@ -128,10 +130,13 @@ class Aligned:
 
 
 def on_common_grid(case: Case) -> Aligned:
-    """Return both tracks on their common grid, the ego's cut at the first contact after the attack begins.
+    """Put both tracks on their common grid; the ego's track ends at the first contact after the attack begins.
+
+    Args:
+        case: The recorded attempt.
 
     Raises:
-        UsageError: The tracks do not overlap in time after that.
+        UsageError: The tracks do not overlap in time after the attack begins.
     """
     ego, adversary = case.ego, case.adversary
     together = ego.between(case.begin, min(ego.time[-1], adversary.time[-1]))
@@ -153,7 +158,7 @@ def on_common_grid(case: Case) -> Aligned:
 
 
 def _least_ttc(pair: Aligned, others: Sequence[Track]) -> float:
-    """Return the ego's minimum TTC to any other vehicle, from the start of the attack on [s]."""
+    """Return the ego's minimum TTC to any other vehicle from the start of the attack on [s]."""
     if not others:
         return float("inf")
     after = slice(pair.trigger, None)

@@ -1,8 +1,8 @@
 """Reference drivers: the drivers that a collision is judged against, each with its rule and its source.
 
-A reference driver drives the ego in the counterfactual.  It is causal: in each step it sees what has happened so far.
-Until its own rule says that a danger shows, the ego moves as it was recorded; from then on the driver brakes (or, for
-``manoeuvre``, also steers) on the ego's path.
+A reference driver drives the ego in the counterfactual. It is causal: in each step, it sees only what has happened so
+far. Until its rule says that a danger shows, the ego moves as it was recorded. From then on, the driver brakes on the
+ego's path; ``manoeuvre`` also steers.
 
 =========== ============================================================================ ===================
 name        rule                                                                         judges
@@ -14,7 +14,7 @@ rss         Responsibility-Sensitive Safety (``brakers.py``)                    
 fsm         JRC's Fuzzy Safety Model (``brakers.py``)                                    same direction
 =========== ============================================================================ ===================
 
-The drivers for the same direction have rules for vehicles, cyclists among them, and none for pedestrians.
+The drivers for the same direction have rules for vehicles, including cyclists, but none for pedestrians.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ MANOEUVRE = "manoeuvre"
 REFERENCE_DRIVERS = ("cc_human", MANOEUVRE, "reg157", "rss", "fsm")
 SAME_DIRECTION_ONLY = ("reg157", "rss", "fsm")
 COMPETENT = ("cc_human", MANOEUVRE, "reg157")
-"""Reference drivers of which one must avoid a collision that is *valid*. ``rss`` and ``fsm`` brake without need 12.3
-and 3.6 times in 10 km of ordinary traffic (``benchmarks/false_alarms.py``), so a collision that only they avoid says
-nothing about the ego."""
+"""A *valid* collision must be avoided by one of these reference drivers. ``rss`` and ``fsm`` are left out: they brake
+without need 12.3 and 3.6 times in 10 km of ordinary traffic (``benchmarks/false_alarms.py``), so a collision that only
+they avoid says nothing about the ego.
+"""
 
 __all__ = ["BRAKERS", "COMPETENT", "MANOEUVRE", "REFERENCE_DRIVERS", "SAME_DIRECTION_ONLY", "Braker"]

@@ -1,4 +1,4 @@
-"""Reference drivers that brake: their protocol, what their rules share, and those for one direction."""
+"""Reference drivers that brake: their protocol, helpers for their rules, and the drivers for one direction."""
 
 from __future__ import annotations
 
@@ -15,27 +15,49 @@ FULL_BRAKING_M_S2 = 0.774 * 9.81  # UN R157
 
 
 def speed_lost(pressed: Floats) -> Floats:
-    """What braking has taken [m/s] ``pressed`` [s] after it began; 0 before."""
+    """Return the speed that braking has taken after a time.
+
+    Args:
+        pressed: Time since the braking began [s].
+
+    Returns:
+        The lost speed [m/s]; 0 before the braking begins.
+    """
     pressed = np.maximum(pressed, 0.0)
     rising = np.minimum(pressed, FULL_BRAKING_RAMP_S)
     return np.asarray(FULL_BRAKING_M_S2 * (rising**2 / (2.0 * FULL_BRAKING_RAMP_S) + pressed - rising))
 
 
 class Braker(Protocol):
-    """N drivers that watch M vehicles each, in steps of ``dt`` [s]; their state is what they have seen."""
+    """N drivers that watch M vehicles each, in steps of ``dt`` [s]. Their state is what they have seen.
+
+    Attributes:
+        name: The driver's name.
+        delay: Time from the alarm until the driver acts [s].
+    """
 
     name: ClassVar[str]
     delay: ClassVar[float]
-    """From the alarm until the driver acts [s]."""
 
     def __init__(self, shape: tuple[int, int], dt: float) -> None: ...
 
     def step(self, view: View) -> Floats:
-        """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not act."""
+        """Look at one step.
+
+        Args:
+            view: What the drivers see.
+
+        Returns:
+            The acceleration over the step to come ``(N,)`` [m/s2]; NaN if a driver does not act.
+        """
         ...
 
     def watch(self, columns: Ints) -> None:
-        """Watch other vehicles from now on: ``columns`` ``(M',)``, in which column each was before, -1 = it is new."""
+        """Watch other vehicles from now on.
+
+        Args:
+            columns: For each new column, the column in which its vehicle was before ``(M',)``; -1 = the vehicle is new.
+        """
         ...
 
     @property
@@ -45,17 +67,35 @@ class Braker(Protocol):
 
 
 def rearranged(values: Any, columns: Ints, fresh: float | bool) -> Any:
-    """What is remembered of vehicles, ``(N, M)``, for the vehicles of ``columns`` (see ``Braker.watch``), ``(N, M')``;
-    ``fresh``: what holds for new ones."""
+    """Rearrange what drivers remember of vehicles for the columns of ``Braker.watch``.
+
+    Args:
+        values: What is remembered ``(N, M)``.
+        columns: For each new column, the column in which its vehicle was before ``(M',)``; -1 = the vehicle is new.
+        fresh: The value of new vehicles.
+
+    Returns:
+        The values ``(N, M')``.
+    """
     new = columns < 0
     kept = values[:, np.maximum(columns, 0)] if values.shape[1] else np.full((len(values), len(columns)), fresh)
     return np.where(new[None, :], fresh, kept)
 
 
 def needed_braking(speed: Floats, gap: Floats, leader_speed: Floats, leader_acceleration: Floats) -> Floats:
-    """Constant deceleration [m/s2] that just avoids running into a leader ``gap`` [m] ahead; ``inf`` without a gap.
+    """Compute the constant deceleration with which the ego just avoids running into a leader.
 
-    The larger of c^2 / (2 gap) at a closing speed c, and, behind a braking leader, of stopping where it stops.
+    It is the larger of two values: c^2 / (2 gap) at a closing speed c and, behind a braking leader, the deceleration
+    with which the ego stops just behind the stopped leader.
+
+    Args:
+        speed: The ego's speed [m/s].
+        gap: The gap to the leader [m].
+        leader_speed: The leader's speed [m/s].
+        leader_acceleration: The leader's acceleration [m/s2].
+
+    Returns:
+        The deceleration [m/s2]. Without a gap, it is ``inf`` for a moving ego.
     """
     room = np.maximum(gap, 1e-6)
     needed = np.maximum(speed - leader_speed, 0.0) ** 2 / (2.0 * room)
@@ -67,18 +107,25 @@ def needed_braking(speed: Floats, gap: Floats, leader_speed: Floats, leader_acce
 
 
 class Delay:
-    """Something that takes effect a fixed time [s] after its cause, and ends with it; ``(N, ...)``."""
+    """An effect that begins a fixed time after its cause and ends with it. Arrays are ``(N, ...)``."""
 
     def __init__(self, shape: tuple[int, ...], seconds: float, dt: float) -> None:
         self._since = np.full(shape, np.inf)
         self._now, self._seconds, self._dt = 0.0, seconds, dt
 
     def watch(self, columns: Ints) -> None:
-        """See ``Braker.watch``."""
+        """Watch other vehicles; see ``Braker.watch``."""
         self._since = rearranged(self._since, columns, np.inf)
 
     def step(self, cause: Bools) -> Floats:
-        """Seconds [s] for which the effect has lasted, negative before it, ``-inf`` without a cause."""
+        """Advance by one step.
+
+        Args:
+            cause: Whether the cause is present.
+
+        Returns:
+            How long the effect has lasted [s]: negative before it begins, ``-inf`` without a cause.
+        """
         self._since = np.where(cause, np.minimum(self._since, self._now), np.inf)
         lasted = np.where(cause, self._now - self._since - self._seconds, -np.inf)
         self._now += self._dt
@@ -86,21 +133,21 @@ class Delay:
 
 
 REG157_BRAKING_M_S2 = 6.0  # UN R157
-REG157_INTRUSION_M = 0.3  # beyond the line, UN R157
+REG157_INTRUSION_M = 0.3  # past the line, UN R157
 REG157_TTC_S = 2.0  # time to collision
 
 
 class Reg157:
     """UN R157's requirement for cut-ins: avoid each collision that braking at 6 m/s2 after 0.35 s avoids.
 
-    Source: UN Regulation No. 157, 5.2.5.2: the system avoids a collision with a vehicle that cuts in if the time to
-    collision at the moment of intrusion is more than v_rel / (2 * 6 m/s2) + 0.35 s; the vehicle has intruded once it is
+    Source: UN Regulation No. 157, 5.2.5.2. The system avoids a collision with a vehicle that cuts in if the time to
+    collision at the moment of intrusion is more than v_rel / (2 * 6 m/s2) + 0.35 s. The vehicle has intruded once it is
     0.3 m beyond the line of the ego's lane.
 
-    As a driver: once a slower vehicle ahead has intruded (or drives in the lane), braking at 6 m/s2 begins 0.35 s after
-    the time to collision is at most 2 s or, at high closing speeds, at most what the requirement takes.  Braking
-    earlier than that changes no outcome and would make the driver an alarmist.  Where the regulation leaves room: the
-    braking is there at once, without a ramp, and lasts until the ego is no longer faster.
+    The requirement as a driver: a slower vehicle ahead must have intruded, or drive in the lane. Braking at 6 m/s2
+    begins 0.35 s after the time to collision is at most 2 s or, at high closing speeds, at most the time that the
+    requirement takes. Braking earlier changes no outcome and would only raise false alarms. The regulation leaves two
+    points open: here, the braking is at once complete, without a ramp, and it lasts until the ego is no longer faster.
     """
 
     name: ClassVar[str] = "reg157"
@@ -128,27 +175,28 @@ class Reg157:
         self._danger = (self._danger & faster) | begins
         self.alarmed |= self._danger.any(axis=1)
         lasted = self._delay.step(self._danger).max(axis=1, initial=-np.inf)
-        part = np.clip((lasted + self._dt) / self._dt, 0.0, 1.0)  # of the step in which braking begins
+        part = np.clip((lasted + self._dt) / self._dt, 0.0, 1.0)  # braked share of the first step
         return np.where(part > 1e-9, -REG157_BRAKING_M_S2 * part, np.nan)
 
 
 RSS_NUMBERS = Rss(
     response=0.75, acceleration=3.0, braking=6.0, hard_braking=6.0, lateral_acceleration=1.0, lateral_braking=1.0
 )  # fmt: skip
-RSS_LATERAL_MARGIN_M = 0.3  # of lateral distance that is kept beyond RSS's own
+RSS_LATERAL_MARGIN_M = 0.3  # lateral distance that is kept in addition to RSS's own
 
 
 class RssDriver:
-    """Responsibility-Sensitive Safety as a driver: it keeps the safe distances and brakes when both are broken.
+    """Responsibility-Sensitive Safety (RSS) as a driver: it keeps the safe distances and brakes if both are broken.
 
     Source: Shalev-Shwartz, Shammah, Shashua 2017, "On a Formal Model of Safe and Scalable Self-driving Cars",
-    definitions 1 (longitudinal), 6 (lateral) and 4 (proper response).  A situation is dangerous when the longitudinal
-    and the lateral distance are both unsafe; after the response time the driver brakes until it is safe again.
+    definitions 1 (longitudinal), 6 (lateral) and 4 (proper response). A situation is dangerous if the longitudinal and
+    the lateral distance are both unsafe. After the response time, the driver brakes until the situation is safe again.
 
-    The paper gives no numbers.  These are those of the JRC's implementation (ec-jrc/JRC-FSM): both vehicles brake at 6
-    m/s2 in the safe distance, the other moves sideways with 1 m/s2, and the driver responds after 0.75 s with the
-    braking of UN R157's human driver, so that the drivers differ by their rules and not by their reaction.  The lateral
-    part of the proper response is left out: the driver does not steer, and its own way sideways is none.
+    The paper gives no numbers. These are those of the JRC's implementation (ec-jrc/JRC-FSM): both vehicles brake at
+    6 m/s2 in the safe distance, and the other vehicle moves sideways with 1 m/s2. The driver responds after 0.75 s with
+    the braking of UN R157's human driver, so that the drivers differ by their rules and not by their reaction. The
+    lateral part of the proper response is left out: the driver does not steer, and its own lateral movement is taken as
+    zero.
     """
 
     name: ClassVar[str] = "rss"
@@ -175,22 +223,41 @@ class RssDriver:
 
 
 FSM_REACTION_S = 0.75
-FSM_COMFORTABLE_BRAKING_M_S2, FSM_MAX_BRAKING_M_S2 = 4.0, 6.0  # of the ego
-FSM_LEADER_BRAKING_M_S2 = 7.0  # the most that the other brakes
-FSM_STANDING_GAP_M = 2.0  # between two vehicles that stand
+FSM_COMFORTABLE_BRAKING_M_S2, FSM_MAX_BRAKING_M_S2 = 4.0, 6.0  # the ego's braking
+FSM_LEADER_BRAKING_M_S2 = 7.0  # the other vehicle's maximum braking
+FSM_STANDING_GAP_M = 2.0  # gap between two vehicles that stand
 FSM_LATERAL_SLACK_S = 0.1
 FSM_JERK_M_S3 = 12.65
 
 
 def proactive(gap: Floats, ego: Floats, other: Floats) -> Floats:
-    """PFS: 1 where even braking at most would not do if the other brakes at most, 0 where comfortable braking does."""
+    """Compute the proactive fuzzy metric (PFS), for a leader that brakes at its maximum.
+
+    Args:
+        gap: The gap [m].
+        ego: The ego's speed [m/s].
+        other: The other vehicle's speed [m/s].
+
+    Returns:
+        1 if the ego's maximum braking would not be enough, 0 if comfortable braking is, linear between.
+    """
     stopping = ego * FSM_REACTION_S - other**2 / (2 * FSM_LEADER_BRAKING_M_S2)
     safe = stopping + ego**2 / (2 * FSM_COMFORTABLE_BRAKING_M_S2) + FSM_STANDING_GAP_M
     return _between(gap, stopping + ego**2 / (2 * FSM_MAX_BRAKING_M_S2), safe)
 
 
 def critical(gap: Floats, ego: Floats, other: Floats, acceleration: Floats) -> Floats:
-    """CFS: 1 where braking at most would not do if the other keeps its speed, 0 where comfortable braking does."""
+    """Compute the critical fuzzy metric (CFS), for a leader that keeps its speed.
+
+    Args:
+        gap: The gap [m].
+        ego: The ego's speed [m/s].
+        other: The other vehicle's speed [m/s].
+        acceleration: The ego's acceleration [m/s2].
+
+    Returns:
+        1 if the ego's maximum braking would not be enough, 0 if comfortable braking is, linear between.
+    """
     held = np.maximum(acceleration, -FSM_COMFORTABLE_BRAKING_M_S2)
     after = np.maximum(ego + held * FSM_REACTION_S, 0.0)
     nearer = ((ego + after) / 2 - other) * FSM_REACTION_S
@@ -203,7 +270,7 @@ def critical(gap: Floats, ego: Floats, other: Floats, acceleration: Floats) -> F
 
 
 def _between(gap: Floats, unsafe: Floats, safe: Floats) -> Floats:
-    """1 at most at ``unsafe``, 0 from ``safe`` on, linear between."""
+    """Interpolate between 1 up to the gap ``unsafe`` and 0 from the gap ``safe`` on."""
     span = np.maximum(safe - unsafe, 1e-9)
     return np.clip((safe - gap) / span, 0.0, 1.0)
 
@@ -216,13 +283,16 @@ class Fsm:
     regulations"; performance model 2 of UN R157 (01 series).
 
     Lateral check: a vehicle beside the ego's corridor matters if its rear is ahead of the ego's front, it moves towards
-    the ego, the ego is faster, and side_gap / v_lateral < (gap + both lengths) / closing speed + 0.1 s.  A vehicle in
-    the corridor always matters.  Longitudinal check: the proactive (PFS) and the critical (CFS) fuzzy metrics, in [0,
-    1]. Reaction: 0.75 s after the risk shows, CFS * (6 - 4) + 4 m/s2 where CFS > 0, else PFS * 4 m/s2; braking changes
-    by at most 12.65 m/s3.
+    the ego, the ego is faster, and side_gap / v_lateral < (gap + both lengths) / closing speed + 0.1 s. A vehicle in
+    the corridor always matters.
 
-    Where the papers leave room: the delay runs while the risk lasts, and once the driver brakes it follows the risk
-    without a further delay.
+    Longitudinal check: the proactive (PFS) and the critical (CFS) fuzzy metrics, in [0, 1].
+
+    Reaction: 0.75 s after the risk shows, the driver brakes with CFS * (6 - 4) + 4 m/s2 if CFS > 0, otherwise with
+    PFS * 4 m/s2. Braking changes by at most 12.65 m/s3.
+
+    The papers leave two points open. Here, the delay runs while the risk lasts. Once the driver brakes, it follows the
+    risk without a further delay.
     """
 
     name: ClassVar[str] = "fsm"
@@ -235,7 +305,7 @@ class Fsm:
         self.alarmed: Bools = np.zeros(shape[0], bool)
 
     def watch(self, columns: Ints) -> None:
-        """Nothing is remembered of single vehicles."""
+        """Do nothing: the driver remembers nothing about single vehicles."""
 
     def step(self, view: View) -> Floats:
         matters = view.same_direction & view.ahead & (view.in_corridor | self._moves_in(view))
@@ -257,7 +327,7 @@ class Fsm:
 
     @staticmethod
     def _moves_in(view: View) -> Bools:
-        """The lateral check."""
+        """Apply the lateral check."""
         sideways = view.towards > 1e-9
         across = view.side_gap / np.where(sideways, view.towards, 1.0)
         closing = view.closing

@@ -1,16 +1,16 @@
 """The counterfactual: the same encounter with a reference driver as the ego, rolled out for N encounters at once.
 
-The adversary and third vehicles move as recorded, then as planned, then straight on at constant speed.  The ego moves
-as recorded until the driver's rule says that a danger shows.  From then on the driver brakes on the ego's path (which
-goes on as the ego went without the attack, or straight), at least as hard as the recorded ego did.  While the driver
-does not brake, the ego's speed changes as it was recorded, up to the recorded speed.  Contact is swept between steps.
-A driver avoids the collision if it touches no vehicle but those that run into it from behind in its lane.
+The adversary and third vehicles move as recorded, then as planned, then straight on at constant speed. The ego moves
+as recorded until the driver's rule says that a danger shows. From then on, the driver brakes on the ego's path at least
+as hard as the recorded ego did. The path continues as the ego went without the attack, or straight. While the driver
+does not brake, the ego's speed changes as it was recorded, up to the recorded speed. Contact is swept between steps.
+A driver avoids the collision if it touches no vehicle, apart from those that run into it from behind in its lane.
 
 A pedestrian or cyclist is seen only while a line from the unchanged ego's centre to its centre or a corner passes
-through no other box, standing or moving (``metrics/reference/view.py``): until then no danger shows to any driver.
+through no other box, standing or moving (``metrics/reference/view.py``). Until then, no danger shows to any driver.
 
-The unchanged ego (recorded motion, then constant speed) is rolled out by the same code: a collision that it does not
-have in this check is inconclusive.
+The unchanged ego (recorded motion, then constant speed) is rolled out by the same code. If it has no collision in this
+check, the check is inconclusive.
 """
 
 from __future__ import annotations
@@ -31,19 +31,25 @@ from sumo_adv.metrics.reference.view import EgoPaths, Views, located_on, seen
 
 MakeDriver = Callable[[tuple[int, int], float], Braker]
 """Makes drivers for a shape (N, M) and a step [s]: a class of ``BRAKERS``, or one with other numbers."""
-MIN_AFTER_CONTACT_S = 4.0  # after the contact to which the check goes at least
+MIN_AFTER_CONTACT_S = 4.0  # how long the check continues after the contact, at least
 
 
 @dataclass(frozen=True, slots=True)
 class Encounters:
-    """N encounters on one grid of step ``dt`` [s].
+    """N encounters on one grid.
 
-    ego ``(N, T)``: recorded, its motion after the step ``last`` ``(N,)`` does not count; adversary ``(N, T')``: as
-    recorded and planned; others ``(N, K, T'')``, or ``(K, T'')`` if they are the same for all N: NaN = absent; None =
-    no vehicle.
-    start ``(N,)``: the step from which a driver may act.  Views begin at step 0, so that drivers have some history.
-    onward ``(N, P, 2)``: points of the egos' ways past the step ``last`` [m]; without them they go straight on.
-    until ``(N,)``: the last step that is checked; without it, all are.
+    Attributes:
+        ego: The recorded egos ``(N, T)``; their motion after the step ``last`` does not count.
+        adversary: The adversaries ``(N, T')``, as recorded and then as planned.
+        start: The step from which a driver may act ``(N,)``. Views begin at step 0, so drivers have some history.
+        last: The last step of each ego that counts ``(N,)``.
+        dt: Step [s].
+        others: The other vehicles ``(N, K, T'')``, or ``(K, T'')`` if they are the same for all N. NaN = absent; None =
+            no vehicle.
+        lane_half_width: Half the width of the egos' lanes [m].
+        onward: Points of the egos' ways past the step ``last`` ``(N, P, 2)`` [m]; without them, the egos go straight
+            on.
+        until: The last step that is checked ``(N,)``; without it, all steps are.
     """
 
     ego: Boxes
@@ -59,18 +65,40 @@ class Encounters:
 
 @dataclass(frozen=True, slots=True)
 class DriverOutcome:
-    """What one driver made of N encounters.  Times s from step 0, ``inf`` = never; arrays ``(N,)``."""
+    """How one driver fares in N encounters. Arrays are ``(N,)``.
+
+    Attributes:
+        avoids: Whether the driver avoids the collision.
+        alarm: When a danger first showed to the driver [s from step 0]; ``inf`` = never.
+        contact: The driver's own first contact that counts [s from step 0]; ``inf`` = never.
+    """
 
     avoids: Bools
-    alarm: Floats  # when a danger first showed to it
-    contact: Floats  # its own first contact that counts
+    alarm: Floats
+    contact: Floats
 
 
 class Counterfactual:
-    """N encounters extended to the end of the check, with everything that does not depend on the driver."""
+    """N encounters extended to the end of the check, with everything that does not depend on the driver.
+
+    Attributes:
+        given: The encounters.
+        steps: Number of steps that are checked.
+        time: Times of the steps ``(steps,)`` [s from step 0].
+        ego: The unchanged egos ``(N, steps)``.
+        adversary: The adversaries ``(N, steps)``.
+        others: The other vehicles ``(N, K, steps)``; None if there are none.
+        shape: The numbers of egos and of vehicles around each.
+        paths: The egos' paths.
+    """
 
     def __init__(self, given: Encounters, beyond: float = MIN_AFTER_CONTACT_S) -> None:
-        """``beyond``: s after the step ``last`` to which the check goes at least."""
+        """Extend the encounters.
+
+        Args:
+            given: The encounters.
+            beyond: How long the check continues after the step ``last``, at least [s].
+        """
         self.given = given
         dt = given.dt
         planned = given.adversary.x.shape[1]
@@ -88,28 +116,46 @@ class Counterfactual:
 
     @cached_property
     def views(self) -> Views:
-        """What drivers see."""
+        """What drivers see in each step."""
         visible = self._everybody(seen(self.ego, self.adversary, self.others))
         located = located_on(self.paths, visible)
         return Views(visible, located, self._ego_size(), self.given.dt, self.given.lane_half_width)
 
     def unchanged(self) -> DriverOutcome:
-        """The ego as it was."""
+        """Return how the egos fare as they were."""
         return self._touched(self.ego, self.paths.station)
 
     def braking(self, driver: MakeDriver) -> DriverOutcome:
-        """What a driver that brakes makes of them."""
+        """Return how a driver that brakes fares.
+
+        Args:
+            driver: Makes the drivers.
+        """
         station, speed, alarm = self.roll_out(driver)
         return replace(self.moving(station, speed), alarm=alarm)
 
     def moving(self, station: Floats, speed: Floats) -> DriverOutcome:
-        """What egos that go along their paths in a given way make of them: stations [m] and speeds ``(N, steps)``."""
+        """Return how egos fare that move along their paths in a given way.
+
+        Args:
+            station: Their stations ``(N, steps)`` [m].
+            speed: Their speeds ``(N, steps)`` [m/s].
+        """
         x, y, heading = self.paths.poses(station)
         z = self.paths.heights(station)
         return self._touched(replace(self.ego, x=x, y=y, heading=heading, speed=speed, z=z), station)
 
     def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[DriverOutcome, Ints]:
-        """What braking and steering make of them, begun after ``alarm`` [s]; and the best combination, -1 = none."""
+        """Return how egos fare that brake and steer.
+
+        Args:
+            alarm: When a danger shows to each ego ``(N,)`` [s from step 0]; ``inf`` = never.
+            on_road: Returns which points are drivable; None if all are.
+
+        Returns:
+            The outcome, and the index of the best manoeuvre in ``avoidance.TABLE`` ``(N,)``; -1 = none avoids the
+            collision.
+        """
         alarmed = np.isfinite(alarm)
         best = np.full(len(alarm), -1)
         contact = np.where(alarmed, 0.0, np.inf) if alarmed.all() else np.where(alarmed, 0.0, self.unchanged().contact)
@@ -126,7 +172,15 @@ class Counterfactual:
         return DriverOutcome(best >= 0, alarm, contact), best
 
     def roll_out(self, driver: MakeDriver) -> tuple[Floats, Floats, Floats]:
-        """Stations [m] and speeds [m/s] of the egos with a driver, ``(N, steps)``; when a danger first showed [s]."""
+        """Roll out the egos with a driver.
+
+        Args:
+            driver: Makes the drivers.
+
+        Returns:
+            The stations [m] and speeds [m/s] of the egos ``(N, steps)``, and when a danger first showed ``(N,)`` [s
+            from step 0]; ``inf`` = never.
+        """
         n, dt = len(self.ego.x), self.given.dt
         drivers = driver(self.shape, dt)
         recorded, pace = self.paths.station, self.ego.speed
@@ -153,7 +207,7 @@ class Counterfactual:
         return station, speed, alarm
 
     def _touched(self, ego: Boxes, station: Floats) -> DriverOutcome:
-        """When the egos first touch a vehicle that does not run into them from behind in their lane."""
+        """Find when the egos first touch a vehicle that does not run into them from behind in their lane."""
         n = len(ego.x)
         wide = Boxes(
             ego.x[:, None], ego.y[:, None], ego.heading[:, None], np.asarray(ego.speed)[:, None],
@@ -172,8 +226,15 @@ class Counterfactual:
         return DriverOutcome(~np.isfinite(contact), np.full(n, np.inf), contact)
 
     def _clear_of_others(self, poses: Boxes, which: Ints, row: int, place: int, first: int) -> Bools:
-        """Which of a row's manoeuvres touch none of the others but those that come from behind in the lane; the row's
-        poses stand at ``place``."""
+        """Return which manoeuvres of a row touch no other vehicle, apart from those that come from behind in the lane.
+
+        Args:
+            poses: Poses of the manoeuvres ``(manoeuvres, rows, steps + 1)``.
+            which: Indices of the manoeuvres to check.
+            row: The encounter.
+            place: The encounter's row in ``poses``.
+            first: The step at which the poses begin.
+        """
         if self.others is None or not len(which) or not self.others.x.shape[1]:
             return np.ones(len(which), bool)
         o = self.others
@@ -190,7 +251,7 @@ class Counterfactual:
         return np.asarray(~(touches(ego, near) & ~behind[None, :]).any(axis=1))
 
     def _everybody(self, adversary: Boxes | None = None) -> Boxes:
-        """The adversary (as it is, or as given) and the others, ``(N, 1 + K, steps)``."""
+        """Return the adversary (as it is, or as given) and the others, ``(N, 1 + K, steps)``."""
         a, n = self.adversary if adversary is None else adversary, len(self.ego.x)
         sizes = _size(a.length, n), _size(a.width, n)
         if self.others is None:
@@ -215,10 +276,18 @@ def driver_outcomes(
     given: Encounters, drivers: Sequence[str] = REFERENCE_DRIVERS, on_road: OnRoad | None = None,
     *, until_avoided: bool = False,
 ) -> dict[str, DriverOutcome]:  # fmt: skip
-    """What each driver makes of the encounters, and the ``unchanged`` ego.
+    """Return how each driver fares in the encounters.
 
-    until_avoided: of one encounter, ask only until the level is known: none if the unchanged ego misses, and none after
-    the first driver that avoids the collision. Only drivers that count (``COMPETENT``) are asked, ``cc_human`` first.
+    Args:
+        given: The encounters.
+        drivers: The names of the reference drivers.
+        on_road: Returns which points are drivable; None if all are.
+        until_avoided: Whether to stop once the level is known; only for a single encounter. No driver is run if the
+            unchanged ego misses, and none after the first driver that avoids the collision. Only drivers that count
+            (``COMPETENT``) are run, ``cc_human`` first.
+
+    Returns:
+        The outcomes by driver, with that of the ego as it was as ``unchanged``.
     """
     check = Counterfactual(given)
     by_driver = {"unchanged": check.unchanged()}
@@ -235,12 +304,12 @@ def driver_outcomes(
 
 
 def _size(value: Floats | float, n: int) -> Floats:
-    """A size as ``(N, 1, 1)``."""
+    """Return a size as ``(N, 1, 1)``."""
     return np.reshape(np.broadcast_to(np.asarray(value, float), (n, 1)), (n, 1, 1))
 
 
 def _along(ego: Boxes, given: Encounters) -> Boxes:
-    """The egos at constant speed along their ways past the step ``last``, straight on where these end."""
+    """Move the egos at constant speed along their ways past the step ``last``, and straight on after the ways end."""
     if given.onward is None:
         return ego
     x, y, heading = ego.x.copy(), ego.y.copy(), np.array(np.broadcast_to(ego.heading, ego.x.shape))
@@ -261,7 +330,7 @@ def _along(ego: Boxes, given: Encounters) -> Boxes:
 
 
 def _extended(b: Boxes, steps: int, dt: float) -> Boxes:
-    """Motions (time is the last axis) that go straight on at constant speed past their end, up to ``steps``."""
+    """Extend motions (time is the last axis) to ``steps``, straight on at constant speed."""
     have = b.x.shape[-1]
     if have >= steps:
         return some_steps(b, slice(steps))
@@ -276,7 +345,7 @@ def _extended(b: Boxes, steps: int, dt: float) -> Boxes:
 
 
 def _for_all(others: Boxes, n: int) -> Boxes:
-    """Others as ``(N, K, steps)`` with sizes ``(N, K, 1)``."""
+    """Return the others as ``(N, K, steps)`` with sizes ``(N, K, 1)``."""
     k = others.x.shape[-2]
     sizes = (np.asarray(v, float) for v in (others.length, others.width))
     length, width = (np.broadcast_to(v if v.ndim == 3 else np.broadcast_to(v, (k, 1)), (n, k, 1)) for v in sizes)

@@ -1,7 +1,7 @@
 """What a reference driver sees: other vehicles in the frame of the ego's path, over all steps of a counterfactual.
 
-Paths are polylines, many at once: stations, offsets, poses; straight on before the first and past the last point. A
-pedestrian or cyclist is seen unless other boxes, standing or moving, hide it.
+Paths are polylines, many at once, with stations, offsets and poses. They continue straight on before the first point
+and past the last one. A pedestrian or cyclist is seen unless other boxes, standing or moving, hide it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,23 @@ from sumo_adv.metrics.boxes import corners, flat, pick
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.road_users import unprotected
 
-MIN_POINT_DISTANCE_M = 1e-6  # below it two points of a path are one
+MIN_POINT_DISTANCE_M = 1e-6  # nearer points of a path count as one
 MAX_PAIRS_PER_BLOCK = 30_000  # pairs of points and path samples that are compared at once
 
 
 class EgoPaths:
-    """The paths of N egos, ``(N, T)`` box centres with headings; ``station`` ``(N, T)``: arc length [m] of each."""
+    """The paths of N egos.
+
+    Attributes:
+        station: Arc length of each point of the paths ``(N, T)`` [m].
+    """
 
     def __init__(self, ego: Boxes) -> None:
+        """Make the paths.
+
+        Args:
+            ego: The egos' motions, box centres with headings ``(N, T)``.
+        """
         self._x, self._y, self._z = ego.x, ego.y, np.broadcast_to(ego.z, ego.x.shape) if np.ndim(ego.z) else ego.z
         self._heading = np.unwrap(np.broadcast_to(ego.heading, ego.x.shape), axis=1)
         step = np.hypot(np.diff(ego.x), np.diff(ego.y))
@@ -32,13 +41,28 @@ class EgoPaths:
         self._onward, self._back = _moving(step)
 
     def heights(self, station: Floats) -> Floats | float:
-        """The heights of the road [m] at stations ``(N, K)``; a number where all is flat."""
+        """Return the heights of the road at stations.
+
+        Args:
+            station: The stations ``(N, K)`` [m].
+
+        Returns:
+            The heights ``(N, K)`` [m]; a single number if the road is flat.
+        """
         if not isinstance(self._z, np.ndarray):
             return self._z
         return np.stack([np.interp(s, own, z) for s, own, z in zip(station, self.station, self._z, strict=True)])
 
     def locate(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """Station [m], offset to the left [m] and path heading [rad] of points ``(N, K)``; NaN stays NaN."""
+        """Project points on the paths.
+
+        Args:
+            x: Points ``(N, K)`` [m].
+            y: Points ``(N, K)`` [m].
+
+        Returns:
+            Station [m], offset to the left [m] and path heading [rad] of each point ``(N, K)``; NaN stays NaN.
+        """
         rows = np.arange(len(x))[:, None]
         there = np.isfinite(x)
         px, py = np.where(there, x, 0.0), np.where(there, y, 0.0)
@@ -50,8 +74,10 @@ class EgoPaths:
         return station, left, heading
 
     def _nearest(self, x: Floats, y: Floats) -> Ints:
-        """The index of the path's point that is nearest to each of the points ``(N, K)``; row by row and in parts,
-        because the squares of a part stay in the processor's cache."""
+        """Return the index of the path's point that is nearest to each of the points ``(N, K)``.
+
+        The points are compared row by row and in parts, because the squares of a part fit into the processor's cache.
+        """
         nearest = np.empty(x.shape, np.intp)
         size = max(1, MAX_PAIRS_PER_BLOCK // max(1, self._x.shape[1]))
         for row in range(len(x)):
@@ -65,7 +91,7 @@ class EgoPaths:
         return nearest
 
     def _on_segment(self, rows: Ints, i: Ints, x: Floats, y: Floats) -> Floats:
-        """Station, offset, heading and squared distance of points seen from the path's segments ``i``."""
+        """Return station, offset, heading and squared distance of points seen from the path's segments ``i``."""
         first, last = self._onward[:, :1], self._back[:, -1:]
         ax, ay, bx, by = self._x[rows, i], self._y[rows, i], self._x[rows, i + 1], self._y[rows, i + 1]
         length = np.hypot(bx - ax, by - ay)
@@ -79,7 +105,14 @@ class EgoPaths:
         return np.stack([self.station[rows, i] + on, left, np.arctan2(s, c), (along - on) ** 2 + left**2])
 
     def poses(self, station: Floats) -> tuple[Floats, Floats, Floats]:
-        """x, y, heading ``(N, K)`` at stations ``(N, K)`` [m]."""
+        """Return poses on the paths.
+
+        Args:
+            station: The stations ``(N, K)`` [m].
+
+        Returns:
+            x [m], y [m] and heading [rad] ``(N, K)``.
+        """
         poses = np.empty((3, *station.shape))
         for row, places in enumerate(station):
             stations = self.station[row]
@@ -95,8 +128,11 @@ class EgoPaths:
 
 
 def _moving(step: Floats) -> tuple[Ints, Ints]:
-    """For each segment ``(N, T - 1)`` the next one, and the one before, over which the ego moves (itself, if it does);
-    at the ends the last and the first such."""
+    """Return, for each segment ``(N, T - 1)``, the next and the previous segment over which the ego moves.
+
+    If the ego moves over the segment itself, both are that segment. At the ends, they are the last and the first such
+    segment.
+    """
     n, count = step.shape
     index, moves = np.broadcast_to(np.arange(count), (n, count)), step > MIN_POINT_DISTANCE_M
     before = np.maximum.accumulate(np.where(moves, index, -1), axis=1)
@@ -106,28 +142,52 @@ def _moving(step: Floats) -> tuple[Ints, Ints]:
     return np.clip(onward, 0, count - 1), np.clip(back, 0, count - 1)
 
 
-YAW_RATE_SPAN_S = 0.5  # over which yaw rates are measured
+YAW_RATE_SPAN_S = 0.5  # yaw rates are measured over this span
 
 
 class View(NamedTuple):
-    """Other vehicles in one step, arrays ``(N, M)``; the egos' arrays ``(N, 1)``.  Units m, rad, m/s, m/s2.
+    """Other vehicles in one step. Arrays are ``(N, M)``; those of the egos are ``(N, 1)``.
 
-    An absent vehicle is not ``ahead`` and has infinite gaps.
+    An absent vehicle is not ``ahead`` and has infinite gaps. The path is the ego's path.
+
+    Attributes:
+        ahead: Whether the vehicle's centre is ahead of the ego's along the path.
+        away: Distance between the centres along the path [m].
+        left: Offset of the vehicle's centre from the path, left positive [m].
+        heading: Heading of the vehicle against that of the path there [rad].
+        same_direction: Whether the vehicle goes the ego's way (``is_same_direction``).
+        gap: Gap between the boxes along the path [m]; negative if they overlap lengthwise.
+        side_gap: Gap between the boxes across the path [m]; negative inside the ego's corridor.
+        in_corridor: Whether the vehicle's box lies in the strip that the ego's box sweeps.
+        near_edge: Distance from the path to the vehicle's box [m].
+        speed: Speed of the vehicle [m/s].
+        along: Speed of the vehicle along the path [m/s].
+        towards: Lateral speed towards the path, from the vehicle's last two positions [m/s].
+        crossing: Lateral speed towards the path, from the vehicle's heading and speed [m/s].
+        acceleration: Acceleration of the vehicle [m/s2].
+        yaw_rate: Yaw rate of the vehicle [rad/s].
+        length: Length of the vehicle [m].
+        width: Width of the vehicle [m].
+        ego_speed: Speed of the ego [m/s].
+        ego_acceleration: Acceleration of the ego [m/s2].
+        ego_length: Length of the ego [m].
+        ego_width: Width of the ego [m].
+        lane_half_width: Half the width of the ego's lane [m].
     """
 
-    ahead: Bools  # its centre is ahead of the ego's along the path
-    away: Floats  # between the centres, along the path
-    left: Floats  # of its centre, from the path
-    heading: Floats  # against the path's there
-    same_direction: Bools  # it goes the ego's way (``is_same_direction``)
-    gap: Floats  # along the path, between the boxes; negative where they overlap lengthwise
-    side_gap: Floats  # across the path, between the boxes; negative inside the ego's corridor
-    in_corridor: Bools  # its box lies in the strip that the ego's box sweeps
-    near_edge: Floats  # from the path to its box
+    ahead: Bools
+    away: Floats
+    left: Floats
+    heading: Floats
+    same_direction: Bools
+    gap: Floats
+    side_gap: Floats
+    in_corridor: Bools
+    near_edge: Floats
     speed: Floats
-    along: Floats  # speed along the path
-    towards: Floats  # sideways towards the path, from its last two positions
-    crossing: Floats  # sideways towards the path, from its heading and speed
+    along: Floats
+    towards: Floats
+    crossing: Floats
     acceleration: Floats
     yaw_rate: Floats
     length: Floats
@@ -145,7 +205,7 @@ class View(NamedTuple):
 
     @property
     def time_to_reach(self) -> Floats:
-        """Gap over closing speed [s], 0 where the boxes overlap lengthwise, ``inf`` where the ego does not close in."""
+        """Gap over closing speed [s]; 0 if the boxes overlap lengthwise, ``inf`` if the ego does not close in."""
         closing = self.closing
         closes = closing > 1e-9
         time = np.where(closes, np.maximum(self.gap, 0.0) / np.where(closes, closing, 1.0), np.inf)
@@ -153,14 +213,25 @@ class View(NamedTuple):
 
 
 def is_same_direction(heading: Floats) -> Bools:
-    """Whether vehicles with a heading [rad] against the ego's path go the ego's way (within 45 degrees)."""
+    """Return whether vehicles go the ego's way (within 45 degrees).
+
+    Args:
+        heading: The vehicles' headings against the ego's path [rad].
+    """
     return np.abs(heading) < SAME_DIRECTION
 
 
 def located_on(paths: EgoPaths, others: Boxes) -> tuple[Floats, Floats, Floats]:
-    """Stations [m], offsets [m] and path headings [rad] of vehicles ``(N, M, T)`` on the paths of N egos.
+    """Project vehicles on the paths of N egos.
 
-    They are NaN where a vehicle's road is above or below the path there."""
+    Args:
+        paths: The paths.
+        others: The vehicles ``(N, M, T)``.
+
+    Returns:
+        Stations [m], offsets [m] and path headings [rad] ``(N, M, T)``. They are NaN if a vehicle's road is above or
+        below the path there.
+    """
     n, m, steps = others.x.shape
     located = paths.locate(*(v.reshape((n, m * steps)) for v in (others.x, others.y)))
     heights = paths.heights(located[0])
@@ -172,13 +243,21 @@ def located_on(paths: EgoPaths, others: Boxes) -> tuple[Floats, Floats, Floats]:
 
 
 class Views:
-    """The views of all steps: M vehicles ``(N, M, T)`` seen from N egos that are on their paths."""
+    """The views of all steps: M vehicles seen from N egos that are on their paths."""
 
     def __init__(
         self, others: Boxes, located: tuple[Floats, Floats, Floats], ego_size: tuple[float, float], dt: float,
         lane_half_width: float,
     ) -> None:  # fmt: skip
-        """``located``: what ``located_on`` says of the others."""
+        """Compute everything that does not depend on the ego's motion.
+
+        Args:
+            others: The vehicles ``(N, M, T)``.
+            located: The result of ``located_on`` for these vehicles.
+            ego_size: The egos' length and width [m].
+            dt: Step [s].
+            lane_half_width: Half the width of the egos' lanes [m].
+        """
         n, m, steps = others.x.shape
         station, left, path_heading = located
         self._station, self._left = station, left
@@ -204,12 +283,19 @@ class Views:
             _known(-side * speed * np.sin(self._heading)), _known(_change(speed, dt)),
             _known((turned - turned[..., before]) / span),
         )  # fmt: skip
-        # what does not depend on the ego's motion, by step
+        # by step
         self._steps = [np.ascontiguousarray(values.transpose(2, 0, 1)) for values in by_vehicle]
         self._size, self._half = ego_size, lane_half_width
 
     def at(self, step: int, station: Floats, speed: Floats, acceleration: Floats) -> View:
-        """What egos at ``station`` [m], ``speed`` and ``acceleration`` ``(N,)`` see in a step."""
+        """Return what the egos see in a step.
+
+        Args:
+            step: The step.
+            station: The egos' stations ``(N,)`` [m].
+            speed: The egos' speeds ``(N,)`` [m/s].
+            acceleration: The egos' accelerations ``(N,)`` [m/s2].
+        """
         (
             there, here, half_along, left, heading, same_direction, side_gap, in_corridor, near_edge,
             pace, along, towards, crossing, change, yaw_rate,
@@ -222,21 +308,36 @@ class Views:
         )  # fmt: skip
 
     def in_lane_ahead(self, ego_station: Floats) -> Bools:
-        """In which steps each vehicle is in the lane of an ego at ``ego_station`` ``(N, T)`` [m], ahead of it, and goes
-        its way, ``(N, M, T)``."""
+        """Find the steps in which each vehicle is in the ego's lane, ahead of it, and goes its way.
+
+        Args:
+            ego_station: The egos' stations ``(N, T)`` [m].
+
+        Returns:
+            A flag for each vehicle and step ``(N, M, T)``.
+        """
         ahead = self._station > ego_station[:, None, :]
         return np.asarray(ahead & (np.abs(self._left) < self._half) & (np.abs(self._heading) < SAME_DIRECTION))
 
     def place(self, row: Any, vehicle: Any, step: Any) -> tuple[Floats, Floats, Floats]:
-        """Station and offset [m] of vehicles in steps, and their heading against the path's there [rad], 0 if they are
-        absent; indices of one shape."""
+        """Return where vehicles are. The indices have one common shape.
+
+        Args:
+            row: Index of the ego.
+            vehicle: Index of the vehicle.
+            step: The step.
+
+        Returns:
+            Station [m], offset [m] and heading against that of the path there [rad]; the heading is 0 if the vehicle is
+            absent.
+        """
         k = (row, vehicle, step)
         heading = self._heading[k]
         return self._station[k], self._left[k], np.where(np.isfinite(self._station[k]), heading, 0.0)
 
 
 def _change(values: Floats, dt: float) -> Floats:
-    """The backward difference over a step, 0 in the first one and after an absence."""
+    """Return the backward difference over a step; 0 in the first step and after an absence."""
     rates = np.zeros(values.shape)
     rates[..., 1:] = np.diff(values, axis=-1) / dt
     return np.where(np.isfinite(rates), rates, 0.0)
@@ -247,21 +348,28 @@ def _known(values: Floats) -> Floats:
 
 
 def hidden(ego: Boxes, other: Boxes, screens: Boxes) -> Bools:
-    """In which steps another box is hidden from the ego's centre, ``(N, T)``: its centre and all corners are.
+    """Find the steps in which another box is hidden from the ego's centre: its centre and all corners are.
 
     Any box between the two hides, standing or moving. A box on another layer than both hides nothing.
-    ego, other: ``(N, T)``; screens: the boxes that may be in the way, ``(N, K, T)``, NaN = absent.
+
+    Args:
+        ego: The egos ``(N, T)``.
+        other: The other boxes ``(N, T)``.
+        screens: The boxes that may be in between ``(N, K, T)``; NaN = absent.
+
+    Returns:
+        A flag for each step ``(N, T)``.
     """
     away = _blocked(ego, other, np.stack([other.x, other.y], -1)[..., None, :], screens)
     rows = np.flatnonzero(away.any(axis=1))
-    if len(rows):  # corners count only where the centre is hidden
+    if len(rows):  # corners count only if the centre is hidden
         ego, other, screens = (pick(each, rows) for each in (ego, other, screens))
         away[rows] &= _blocked(ego, other, corners(other), screens)
     return away
 
 
 def _blocked(ego: Boxes, other: Boxes, points: Floats, screens: Boxes) -> Bools:
-    """In which steps all points ``(N, T, P, 2)`` of another box are behind boxes, ``(N, T)``."""
+    """Find the steps ``(N, T)`` in which all points ``(N, T, P, 2)`` of another box are behind boxes."""
     length, width = (np.asarray(v)[..., None] / 2 for v in (screens.length, screens.width))
     eye = ego.x[:, None, :, None], ego.y[:, None, :, None]
     point = points[:, None, ..., 0], points[:, None, ..., 1]
@@ -276,9 +384,14 @@ def _blocked(ego: Boxes, other: Boxes, points: Floats, screens: Boxes) -> Bools:
 
 
 def seen(ego: Boxes, other: Boxes, screens: Boxes | None) -> Boxes:
-    """The other boxes ``(N, T)`` as a driver sees them: a pedestrian or cyclist that is hidden is absent (NaN).
+    """Return the other boxes as a driver sees them: a hidden pedestrian or cyclist is absent (NaN).
 
-    Vehicles are taken to be seen always: the standards that the reference drivers follow know no occlusion.
+    Vehicles are assumed to be always visible: the standards that the reference drivers follow do not cover occlusion.
+
+    Args:
+        ego: The egos ``(N, T)``.
+        other: The other boxes ``(N, T)``.
+        screens: The boxes that may be in between ``(N, K, T)``; None if there are none.
     """
     small = np.broadcast_to(unprotected(other.length, other.width), other.x.shape)
     if screens is None or not small.any():
