@@ -1,10 +1,11 @@
-"""What an ego controller gets, what it may answer, and what it asks of the engine by attributes of its class.
+"""The protocol of an ego controller: what it gets, what it may answer, and what it can ask of the engine.
 
-Before each step of the simulation, ``act`` gets an ``Observation``. Its answer says how the ego moves during that step,
-from ``time`` to ``time + dt``.
+Before each step of the simulation, ``act`` gets an ``Observation``. Its answer, an ``Action``, says how the ego moves
+during that step, from ``time`` to ``time + dt``. With its attribute ``wishes``, a controller asks for more
+(``Wishes``).
 
-All distances called *ahead* are metres along the ego's path from the centre of its box; its front bumper is half its
-length nearer. Points are in the world frame [m].
+Distances called *ahead* are metres along the ego's path from the centre of its box; its front bumper is nearer by half
+its length. Points are in the world frame [m].
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sumo_adv.geometry import Pose, wrap
 
 
 class Senses(Protocol):
-    """What tells more of a vehicle, by its id, in one step."""
+    """Tells more about a vehicle, by its id, in one step. The attributes of ``Vehicle`` come from here."""
 
     def kind(self, vehicle: str) -> str: ...
 
@@ -36,53 +37,68 @@ class Senses(Protocol):
 
 @dataclass(frozen=True)
 class Vehicle(VehicleState):
-    """Another vehicle. In a run the attributes below are worked out when they are first read.
+    """Another vehicle: its motion, and more that a driver can see.
 
-    Without ``senses`` (in tests of your own) they have the values of a visible passenger car that goes straight on.
+    In a run, the attributes below are computed when they are first read. Without ``senses``, as in tests of your own,
+    they have the values of a visible passenger car that goes straight on.
+
+    Attributes:
+        senses: The source of the attributes below; the engine sets it.
     """
 
     senses: Senses | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def kind(self) -> str:
-        """SUMO's vehicle class (``passenger``, ``truck``, ``bus``, ``bicycle``, ``pedestrian`` ...); ``obstacle`` for
-        another object of a recording or a scenario."""
+        """SUMO's vehicle class: ``passenger``, ``truck``, ``bus``, ``bicycle``, ``pedestrian`` and others.
+
+        ``obstacle`` is any other object of a recording or a scenario.
+        """
         return "passenger" if self.senses is None else self.senses.kind(self.id)
 
     @cached_property
     def yaw_rate(self) -> float:
-        """Change of its heading in the last step [rad/s], left positive."""
+        """Change of the vehicle's heading in the last step [rad/s], left positive."""
         return 0.0 if self.senses is None else self.senses.yaw_rate(self.id)
 
     @cached_property
     def indicator(self) -> str | None:
-        """``left`` or ``right`` while it indicates one, else None."""
+        """``left`` or ``right`` while the vehicle indicates that direction; otherwise None."""
         return None if self.senses is None else self.senses.indicator(self.id)
 
     @cached_property
     def brake_light(self) -> bool:
-        """Whether its brake lights are on."""
+        """Whether the vehicle's brake lights are on."""
         return False if self.senses is None else self.senses.brake_light(self.id)
 
     @cached_property
     def visible(self) -> bool:
-        """Whether a line from the ego's centre to its centre or one of its corners passes through no other vehicle."""
+        """Whether a line from the ego's centre to the vehicle's centre or a corner passes through no other vehicle."""
         return True if self.senses is None else self.senses.visible(self.id)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
-    """One lane for vehicles or cycles. Equal only to itself.
+    """One lane for vehicles or cycles. Two lanes are equal only if they are the same object.
 
-    centre: ``(n, 2)`` in its direction of travel; width [m]; limit: the posted one [m/s].
-    relation: ``route`` (the ego's path follows it), ``crossing`` (it crosses the path or joins it on a junction), else
-    by its direction where it is nearest to the path: ``beside`` (within 45 degrees of the path's), ``oncoming`` (within
-    45 degrees of the opposite) or ``crossing``.
-    left, right: ids of the next lanes of the same edge, None if there is none. junction: it lies within a junction.
-    allowed: a vehicle of the ego's class may use it now; a bus lane is told to a car, and is not for it.
-    successors, predecessors: ids of the lanes after and before it, through junctions lane by lane; also those too far
-    away to be told. opposite_left, opposite_right: id of the lane of the opposite direction that shares its left or
-    right boundary, None if there is none.
+    Attributes:
+        id: SUMO's id of the lane.
+        centre: Points of the centre line ``(n, 2)`` [m], in the lane's direction of travel.
+        width: Width [m].
+        limit: Posted speed limit [m/s].
+        relation: How the lane lies to the ego's path. ``route``: the path follows it. ``crossing``: it crosses the path
+            or joins it on a junction. Other lanes are sorted by their direction at the place nearest to the path:
+            ``beside`` (within 45 degrees of the path's), ``oncoming`` (within 45 degrees of the opposite) or
+            ``crossing``.
+        left: Id of the next lane to the left on the same edge; None if there is none.
+        right: Id of the next lane to the right on the same edge; None if there is none.
+        junction: Whether the lane lies within a junction.
+        allowed: Whether a vehicle of the ego's class may use the lane now. A car sees a bus lane, but may not use it.
+        successors: Ids of the lanes after it. Through junctions, they follow lane by lane. They can be lanes that are
+            too far away to be in ``Road.lanes``.
+        predecessors: Ids of the lanes before it, in the same way.
+        opposite_left: Id of the lane of the opposite direction that shares the left boundary; None if there is none.
+        opposite_right: Id of the lane of the opposite direction that shares the right boundary; None if there is none.
     """
 
     id: str
@@ -101,13 +117,18 @@ class Lane:
 
     @property
     def on_route(self) -> bool:
-        """Whether the ego's path follows it."""
+        """Whether the ego's path follows the lane."""
         return self.relation == "route"
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimit:
-    """A posted speed limit [m/s] that holds from ``ahead`` [m] on (negative: it holds already)."""
+    """A posted speed limit.
+
+    Attributes:
+        ahead: Where the limit begins [m]; negative if it holds already.
+        speed: The limit [m/s].
+    """
 
     ahead: float
     speed: float
@@ -115,11 +136,14 @@ class SpeedLimit:
 
 @dataclass(frozen=True, slots=True)
 class StopLine:
-    """A line before or on a junction at which the ego's path has a traffic light, or has to give way.
+    """A line before or on a junction at which the ego's path has a traffic light or must give way.
 
-    ahead: to the line [m]. signal: ``green``, ``yellow``, ``red``, or None if there is no light or it is off.
-    sign: ``yield`` or ``stop`` where the ego has to give way while the light, if there is one, lets it go; else None.
-    must_wait: the ego must not pass the line now (``docs/ego.md`` has the rule).
+    Attributes:
+        ahead: Distance to the line [m].
+        signal: ``green``, ``yellow`` or ``red``; None if there is no light or it is off.
+        sign: ``yield`` or ``stop`` if the ego must give way while the light, if there is one, lets it go; otherwise
+            None.
+        must_wait: Whether the ego must not pass the line now (``docs/ego.md`` has the rule).
     """
 
     ahead: float
@@ -130,10 +154,15 @@ class StopLine:
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """A place on a junction where the ego's path meets another lane.
+    """A place on a junction at which the ego's path meets another lane.
 
-    ahead [m]; lane: id of the other lane; x, y [m]; ego_yields: vehicles that come on it go first, by signs and lights
-    now. joins: the other lane ends there in the lane that the ego enters, else it crosses.
+    Attributes:
+        ahead: Distance to the place [m].
+        lane: Id of the other lane.
+        x: Where the place is [m].
+        y: Where the place is [m].
+        ego_yields: Whether vehicles on the other lane go first, by the signs and lights as they are now.
+        joins: Whether the other lane ends there, in the lane that the ego enters. Otherwise, it crosses that lane.
     """
 
     ahead: float
@@ -146,22 +175,29 @@ class Conflict:
 
 @dataclass(frozen=True)
 class Road:
-    """The road at the ego. In a run an attribute is worked out when it is first read in a step, and costs nothing else.
+    """The road at the ego.
 
-    limit: the fastest that the ego's SUMO type goes here [m/s]: the posted limit times ``speedFactor``, at most
-    ``maxSpeed``. sides: centres of the lanes beside the ego's that lead the same way, as offsets from its lane
-    [m, left positive], for the next ``until`` metres. width: of the ego's lane [m].
-    leaves: SUMO will remove the ego within a few metres, at its ``arrivalPos`` or the end of its route.
+    In a run, an attribute is computed when it is first read in a step. An attribute that is not read costs nothing.
 
-    lanes: all lanes for motor vehicles or cycles within 120 m of the ego; ``allowed`` says whether the ego may use it
-    now. edges: the boundary of the paved ground within 120 m, lines ``(n, 2)``. limits, stop_lines, conflicts: on the
-    path within 120 m, nearest first. ``lanes`` and ``edges`` stay the same objects until the ego has gone 10 m or its
-    route changes; ``lanes`` is made again where a limit changes or a lane closes, too. Limits are those of now. A lane
-    that the ego's class may not use now is not in ``sides``.
-
-    advised: with ``needs_road`` and ``Steer`` alone: the speed [m/s] that SUMO's driver would have chosen in the last
-    step, with regard to lights, right of way and leaders; at most the speed that the controller asked for. None while
-    the ego stands at a line.
+    Attributes:
+        limit: Maximum speed of the ego's SUMO type here [m/s]: the posted limit times ``speedFactor``, at most
+            ``maxSpeed``.
+        sides: Centres of the lanes beside the ego's lane that lead the same way, as offsets from the ego's lane
+            [m, left positive]. A lane that the ego's class may not use now is left out.
+        until: For how many metres ahead ``sides`` holds [m].
+        width: Width of the ego's lane [m].
+        advised: The speed that SUMO's driver would have chosen in the last step [m/s], considering lights, right of way
+            and leaders. It is at most the speed that the controller asked for. It is given only with ``needs_road`` and
+            answers of type ``Steer``, and is None while the ego stands at a line.
+        leaves: Whether SUMO will remove the ego within a few metres, at its ``arrivalPos`` or the end of its route.
+        lanes: All lanes for motor vehicles or cycles within 120 m of the ego. ``Lane.allowed`` says whether the ego may
+            use a lane now. The object stays the same until the ego has gone 10 m, its route changes, a limit changes or
+            a lane closes.
+        edges: Boundary of the paved ground within 120 m, lines ``(n, 2)`` [m]. The object stays the same until the ego
+            has gone 10 m or its route changes.
+        limits: Speed limits on the path within 120 m, nearest first, as they are now.
+        stop_lines: Stop lines on the path within 120 m, nearest first.
+        conflicts: Conflicts on the path within 120 m, nearest first.
     """
 
     limit: float
@@ -184,14 +220,23 @@ class Road:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What the driver sees at ``time`` [s, of the simulation]; the step to come lasts ``dt`` [s].
+    """What the driver sees at one time.
 
-    others: vehicles within 120 m, box centres in the world frame; in a run each is a ``Vehicle``. The ego's lane is the
-    one of its route that is nearest to it, whatever lane SUMO takes it to be on. lane_heading: of that lane at the ego
-    [rad]. lane_offset: of the ego's centre from the lane's centre [m, left positive]. path: points [m] on the
-    centreline of that lane and of the route, from the ego (or a few metres before) to at least 60 m ahead. road: the
-    map at the ego. These four are None where they are not known, as off the road. ``path``, ``road`` and
-    each ``Vehicle`` must be read in the ``act`` that got them: later what was not read yet is refused.
+    ``path``, ``road`` and each ``Vehicle`` must be read in the ``act`` that got them. Later, an attribute that has not
+    been read yet is refused. The ego's lane is the lane of its route that is nearest to it, whatever lane SUMO assigns
+    it to. ``lane_heading``, ``lane_offset``, ``path`` and ``road`` are None if they are not known, for example off the
+    road.
+
+    Attributes:
+        time: Time of the simulation [s].
+        dt: Length of the step to come [s].
+        ego: The ego's state, box centre in the world frame.
+        others: Vehicles within 120 m, box centres in the world frame; in a run, each is a ``Vehicle``.
+        lane_heading: Heading of the ego's lane at the ego [rad].
+        lane_offset: Offset of the ego's centre from the centre of its lane [m, left positive].
+        path: Points (x, y) on the centre line of the ego's lane and of its route [m], from the ego, or a few metres
+            before it, to at least 60 m ahead.
+        road: The map at the ego.
     """
 
     time: float
@@ -205,15 +250,15 @@ class Observation:
 
 
 Points: TypeAlias = Sequence[tuple[float, float]]
-"""(x, y) [m] in the world frame."""
+"""Points (x, y) in the world frame [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """Pedals and wheel.
+    """An action of the pedals and the wheel.
 
     Attributes:
-        acceleration: Of the car [m/s2].
+        acceleration: Acceleration of the car [m/s2].
         steering: Angle of the front wheels [rad, left positive].
         plan: Where the driver plans to go from here, for pages and exports. It changes nothing in the simulation.
         notes: Numbers by name that a person wants to see beside the motion, such as costs.
@@ -227,12 +272,18 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class LaneSpeed:
-    """SUMO keeps the lane. ``lane``: the lane to change to (SUMO's index: from the right, in left-hand traffic from the
-    left; None = stay); ``speed``: after the step [m/s].
+    """An action that leaves lane keeping to SUMO.
 
-    SUMO goes slower than asked where its rules demand it (safe distance, red light). The ego can brake harder than its
+    SUMO goes slower than asked if its rules demand it (safe distance, red light). The ego can brake harder than its
     vType's ``decel``, up to ``emergencyDecel``. While a speed is asked for, SUMO's own rules may use
-    ``emergencyDecel``, too. ``plan`` and ``notes`` are those of ``Steer``.
+    ``emergencyDecel``, too.
+
+    Attributes:
+        lane: SUMO's index of the lane to change to, counted from the right, in left-hand traffic from the left. None
+            keeps the lane.
+        speed: Speed after the step [m/s].
+        plan: As in ``Steer``.
+        notes: As in ``Steer``.
     """
 
     lane: int | None
@@ -243,7 +294,12 @@ class LaneSpeed:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPose(Pose):
-    """A ``Pose`` with what the driver planned; ``plan`` and ``notes`` are those of ``Steer``."""
+    """A ``Pose`` with the driver's plan.
+
+    Attributes:
+        plan: As in ``Steer``.
+        notes: As in ``Steer``.
+    """
 
     plan: Points | None = None
     notes: Mapping[str, float] = field(default_factory=dict)
@@ -251,12 +307,12 @@ class PlannedPose(Pose):
 
 @dataclass(frozen=True, slots=True)
 class DriverInside:
-    """What a driver showed of its inside with one answer.
+    """A driver's inner state at one answer, as far as it showed it.
 
     Attributes:
-        time: When it was asked [s].
-        plan: Where it planned to go; empty if it did not say.
-        notes: Its numbers by name.
+        time: When the driver was asked [s].
+        plan: Where the driver planned to go; empty if it did not say.
+        notes: The driver's numbers by name.
     """
 
     time: float
@@ -271,42 +327,59 @@ Action: TypeAlias = Steer | LaneSpeed | Pose | None
 class EgoController(Protocol):
     """The driver under test.
 
-    A driver may also have ``wishes`` (``Wishes``) and ``model_of`` (see the function ``model_of``).
+    A driver may also have an attribute ``wishes`` (``Wishes``) and a method ``model_of`` (see the function
+    ``model_of``).
     """
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """What reports call the driver."""
         ...
 
     @property
     def forkable(self) -> bool:
-        """Whether ``os.fork`` copies it whole, because it holds no thread, socket or device."""
+        """Whether ``os.fork`` copies the driver completely, because it holds no thread, socket or device."""
         ...
 
     @property
     def sumo_type(self) -> Mapping[str, str]:
-        """vType attributes, as SUMO spells them. SUMO drives with them where the controller does not."""
+        """vType attributes, as SUMO spells them. SUMO uses them when the controller does not drive."""
         ...
 
     @property
     def needs_observation(self) -> bool:
-        """If False, ``act`` is never called."""
+        """Whether the driver needs observations. If not, ``act`` is never called."""
         ...
 
     def reset(self, seed: int) -> None:
-        """Forget everything; a run begins."""
+        """Forget everything, because a run begins.
+
+        Args:
+            seed: Seed of the run, for drivers that draw random numbers.
+        """
         ...
 
     def act(self, observation: Observation) -> Action:
-        """The action for the step that begins at ``observation.time``."""
+        """Return the action for the step that begins at ``observation.time``.
+
+        Args:
+            observation: What the driver sees now.
+
+        Returns:
+            The ego's motion in this step; None leaves it to SUMO.
+        """
         ...
 
 
 def model_of(driver: Any, numbers: DriverModel) -> DriverModel:
-    """How a driver is predicted: its own ``model_of(numbers)``, or ``numbers`` if it has no such method.
+    """Return the model by which a driver is predicted.
 
-    ``numbers``: an unknown driver with the ego's car-following numbers in SUMO (``Simulation.model``).
+    Args:
+        driver: The driver. If it has a method ``model_of(numbers)``, its result is used.
+        numbers: The model of an unknown driver, with the ego's car-following numbers in SUMO (``Simulation.model``).
+
+    Returns:
+        The driver's own model, or ``numbers`` if it has no such method.
     """
     own = getattr(driver, "model_of", None)
     return numbers if own is None else own(numbers)
@@ -314,14 +387,21 @@ def model_of(driver: Any, numbers: DriverModel) -> DriverModel:
 
 WHEELBASE_M = 2.8
 MAX_STEERING_RAD = 0.6  # front wheel angle to either side
-MAX_BRAKING_M_S2 = 9.0  # as SUMO's emergency deceleration
+MAX_BRAKING_M_S2 = 9.0  # equal to SUMO's emergency deceleration
 MAX_ACCELERATION_M_S2 = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Bicycle:
-    """A car's numbers. wheelbase [m]; rear_axle: from the box centre back to the rear axle [m], None = half of the
-    wheelbase; max_steering: front wheel angle to either side [rad]; max_braking, max_acceleration [m/s2], positive."""
+    """The numbers of a car for the bicycle model.
+
+    Attributes:
+        wheelbase: Wheelbase [m].
+        max_steering: Maximum angle of the front wheels to either side [rad].
+        max_braking: Maximum deceleration [m/s2], positive.
+        max_acceleration: Maximum acceleration [m/s2].
+        rear_axle: Distance from the box centre back to the rear axle [m]; None = half of the wheelbase.
+    """
 
     wheelbase: float = WHEELBASE_M
     max_steering: float = MAX_STEERING_RAD
@@ -334,7 +414,7 @@ DEFAULT_BICYCLE = Bicycle()
 
 
 def apply_steer(state: VehicleState, steer: Steer, dt: float, bicycle: Bicycle = DEFAULT_BICYCLE) -> VehicleState:
-    """``state`` after ``dt`` [s] of ``steer``, which is limited to what the ``bicycle`` can do.
+    """Move a vehicle by a ``Steer`` action, limited to what the ``bicycle`` can do.
 
     The kinematic bicycle model (Polack et al. 2017; Rajamani 2012, section 2.2, with l_r = r). Its reference point is
     the box centre, which lies r in front of the rear axle. For a steering angle d and a wheelbase L:
@@ -345,8 +425,16 @@ def apply_steer(state: VehicleState, steer: Steer, dt: float, bicycle: Bicycle =
         heading   += k s
         position  += s sinc(k s / 2) (cos, sin)(heading + b + k s / 2)
 
-    which is exact for constant a and d: the centre runs along a circular arc. The speed is that of the box centre;
-    ``acceleration`` of the answer is the mean over the step.
+    The result is exact for constant a and d: the centre runs along a circular arc.
+
+    Args:
+        state: The vehicle before the step, box centre.
+        steer: The action.
+        dt: Step [s].
+        bicycle: The car's numbers.
+
+    Returns:
+        The vehicle after the step. Its speed is that of the box centre; its acceleration is the mean over the step.
     """
     rear = bicycle.wheelbase / 2 if bicycle.rear_axle is None else bicycle.rear_axle
     steering = min(max(steer.steering, -bicycle.max_steering), bicycle.max_steering)
@@ -369,15 +457,21 @@ def apply_steer(state: VehicleState, steer: Steer, dt: float, bicycle: Bicycle =
     )
 
 
-MAX_PATH_AHEAD_M = 1000.0  # of the path that a driver may ask for
+MAX_PATH_AHEAD_M = 1000.0  # the longest path that a driver may ask for
 STEERING_LIMIT_RAD = math.pi / 2  # at this steering angle the bicycle would turn on the spot
 
 
 @dataclass(frozen=True, slots=True)
 class Wishes:
-    """needs_road: SUMO's advice, ``Road.advised``. visible_only: ``others`` has only the vehicles in line of sight.
-    sees_buildings: buildings block the view. bicycle: the car that ``Steer`` moves. path_ahead: how far ahead ``path``
-    reaches at least [m]; None: 80 m."""
+    """What a controller asks of the engine.
+
+    Attributes:
+        needs_road: Whether the driver needs SUMO's advice, ``Road.advised``.
+        visible_only: Whether ``others`` has only the vehicles in line of sight.
+        sees_buildings: Whether buildings block the view.
+        bicycle: The car that ``Steer`` moves.
+        path_ahead: How far ahead ``path`` reaches at least [m]; None means 80 m.
+    """
 
     needs_road: bool = False
     visible_only: bool = False
@@ -387,15 +481,21 @@ class Wishes:
 
 
 def wishes_of(controller: Any) -> Wishes:
-    """A controller's ``wishes``, by default none."""
+    """Return a controller's ``wishes``; without any, the default."""
     wishes = getattr(controller, "wishes", None)
     return wishes if isinstance(wishes, Wishes) else Wishes()
 
 
 def read_wishes(driver: Any, spec: str) -> Wishes:
-    """The wishes of a user's driver, by attributes of the names of ``Wishes`` and ``Bicycle``.
+    """Read the wishes of a user's driver from attributes that are named as in ``Wishes`` and ``Bicycle``.
 
-    Raises UsageError: a number of the bicycle that is not finite or not above zero, or a steering angle of 90 degrees.
+    Args:
+        driver: The user's driver.
+        spec: What messages call the driver.
+
+    Raises:
+        UsageError: A number of the bicycle is not finite or not above zero, the steering angle is 90 degrees or more,
+            or ``path_ahead`` is out of range.
     """
     numbers: dict[str, float] = {}
     for number in fields(Bicycle):

@@ -1,9 +1,9 @@
 """A reference driver that watches the traffic online: the vehicles in sight, in the frame of the ego's path.
 
 ``Watcher`` is one reference driver in one ego. The controller ``careful`` and the reference drivers that drive in the
-loop (``episode/references.py``) are made of it, so they see the same path, lane width, history and vehicles.
-``CarefulDrivers`` (``careful.py``) describes many predicted egos by the same ``WatchingEgos`` and ``WatchedVehicles``;
-``view_of`` makes the reference driver's ``View`` of them.
+loop (``episode/references.py``) use it, so all of them see the same path, lane width, history and vehicles.
+``CarefulDrivers`` (``careful.py``) describes many predicted egos with the same ``WatchingEgos`` and
+``WatchedVehicles``. ``view_of`` turns them into the reference driver's ``View``.
 """
 
 from __future__ import annotations
@@ -21,17 +21,25 @@ from sumo_adv.metrics.reference import Braker
 from sumo_adv.metrics.reference.view import YAW_RATE_SPAN_S, EgoPaths, View, is_same_direction
 from sumo_adv.road_users import is_unprotected
 
-HALF_LANE_M = 1.6  # half of SUMO's default lane, where the lane is not known
-SIGHT_S = 5.0  # of driving at both speeds, within which a vehicle is watched
+HALF_LANE_M = 1.6  # half of SUMO's default lane, if the lane is not known
+SIGHT_S = 5.0  # vehicles that can meet the ego in this time at both speeds are watched
 MIN_SIGHT_M = 20.0
 PATH_SPACING_M = 2.0  # between the points of a path
-STRAIGHT_PATH_M = 150.0  # length of the path where the engine does not give one
+STRAIGHT_PATH_M = 150.0  # length of the path if the engine gives none
 PastPose = tuple[float, float, float]  # x, y [m], heading [rad]
 
 
 @dataclass(frozen=True, slots=True)
 class WatchingEgos:
-    """N egos on their paths: station [m], speed [m/s], acceleration [m/s2], each ``(N, 1)``; size [m]."""
+    """N egos on their paths. Arrays are ``(N, 1)``.
+
+    Attributes:
+        station: Station on the path [m].
+        speed: Speed [m/s].
+        acceleration: Acceleration [m/s2].
+        length: Length of all egos [m].
+        width: Width of all egos [m].
+    """
 
     station: Floats
     speed: Floats
@@ -42,11 +50,19 @@ class WatchingEgos:
 
 @dataclass(frozen=True, slots=True)
 class WatchedVehicles:
-    """The M vehicles that each ego watches, box centres in the frame of the ego's path, arrays ``(N, M)``.
+    """The M vehicles that each ego watches. Arrays are ``(N, M)``; box centres are in the frame of the ego's path.
 
-    station, offset [m, left positive]; heading against the path [rad]; speed [m/s]; sideways: change of the offset over
-    the last step [m/s]; acceleration [m/s2]; yaw_rate: mean over the last ``YAW_RATE_SPAN_S`` seconds [rad/s]; size
-    [m]."""
+    Attributes:
+        station: Station on the path [m].
+        offset: Offset from the path [m, left positive].
+        heading: Heading against the path [rad].
+        speed: Speed [m/s].
+        sideways: Change of the offset over the last step [m/s].
+        acceleration: Acceleration [m/s2].
+        yaw_rate: Mean yaw rate over the last ``YAW_RATE_SPAN_S`` seconds [rad/s].
+        length: Length [m].
+        width: Width [m].
+    """
 
     station: Floats
     offset: Floats
@@ -60,7 +76,13 @@ class WatchedVehicles:
 
 
 def view_of(egos: WatchingEgos, others: WatchedVehicles, lane_half_width: Floats | float) -> View:
-    """The view of the reference driver in each ego; ``lane_half_width`` [m]: of the ego's lane."""
+    """Return the view of the reference driver in each ego.
+
+    Args:
+        egos: The egos.
+        others: The vehicles that they watch.
+        lane_half_width: Half the width of the ego's lane [m].
+    """
     cos, sin = np.abs(np.cos(others.heading)), np.abs(np.sin(others.heading))
     half_along = (cos * others.length + sin * others.width) / 2
     half_across = (sin * others.length + cos * others.width) / 2
@@ -94,17 +116,32 @@ def view_of(egos: WatchingEgos, others: WatchedVehicles, lane_half_width: Floats
 
 
 def braked_speed(drivers: Braker, egos: WatchingEgos, view: View, dt: float) -> Floats:
-    """The speed [m/s] to which each driver brakes within the step of ``dt`` [s], ``(N,)``; inf if it does not brake."""
+    """Advance drivers by a step and return the speeds to which they brake.
+
+    Args:
+        drivers: The drivers.
+        egos: The egos.
+        view: What they see.
+        dt: Step [s].
+
+    Returns:
+        The speed at the end of the step ``(N,)`` [m/s]; inf if the driver does not brake.
+    """
     acceleration = drivers.step(view)
     speed = np.maximum(egos.speed[:, 0] + np.nan_to_num(acceleration) * dt, 0.0)
     return np.where(np.isnan(acceleration), np.inf, speed)
 
 
 class Watcher:
-    """One reference driver in one ego. It remembers the vehicles it watches and their past poses."""
+    """One reference driver in one ego. It remembers the vehicles that it watches and their past poses."""
 
     def __init__(self, driver: type[Braker], dt: float) -> None:
-        """``dt``: step of the simulation [s]."""
+        """Start without any memory.
+
+        Args:
+            driver: The class of the reference driver.
+            dt: Step of the simulation [s].
+        """
         self._driver, self._dt = driver((1, 0), dt), dt
         self._watched: list[str] = []
         self._past: dict[str, deque[PastPose]] = {}
@@ -126,12 +163,12 @@ class Watcher:
 
         Args:
             ego: The ego's state now.
-            others: The other vehicles near it; the ego itself and hidden road users are left out.
+            others: The other vehicles near it. The ego itself and hidden road users are left out.
             path: The ego's path, of one ego.
             lane_half_width: Half the width of the ego's lane [m].
 
         Returns:
-            The speed [m/s] to which the driver brakes within this step; ``inf`` if it does not brake.
+            The speed to which the driver brakes within this step [m/s]; ``inf`` if it does not brake.
         """
         seen = [o for o in others if o.id != ego.id and _in_sight(ego, o) and _is_noticed(o)]
         column = {name: k for k, name in enumerate(self._watched)}
@@ -145,14 +182,14 @@ class Watcher:
         return float(braked_speed(self._driver, egos, view, self._dt)[0])
 
     def _remember(self, others: Sequence[VehicleState]) -> None:
-        """Append the present poses; forget vehicles out of sight."""
+        """Append the present poses and forget vehicles out of sight."""
         steps = max(1, round(YAW_RATE_SPAN_S / self._dt)) + 1
         self._past = {o.id: self._past.get(o.id, deque(maxlen=steps)) for o in others}
         for vehicle in others:
             self._past[vehicle.id].append((vehicle.x, vehicle.y, vehicle.heading))
 
     def _located(self, path: EgoPaths, others: Sequence[VehicleState]) -> WatchedVehicles:
-        """The vehicles in the frame of the path, ``(1, M)``."""
+        """Return the vehicles in the frame of the path, ``(1, M)``."""
         states = np.array([(o.x, o.y, o.heading, o.speed, o.acceleration, o.length, o.width) for o in others])
         x, y, heading, speed, acceleration, length, width = states.reshape(-1, 7).T[:, None, :]
         past = [self._past[o.id] for o in others]
@@ -168,11 +205,11 @@ class Watcher:
 
 
 def path_of(observation: Observation, behind: Floats | None = None) -> EgoPaths:
-    """The engine's path of the ego, else a straight one.
+    """Return the ego's path: that of the engine or, without one, a straight path.
 
     Args:
         observation: What the driver sees now.
-        behind: Earlier positions of the ego ``(n, 2)`` [m], which the path begins with.
+        behind: Earlier positions of the ego ``(n, 2)`` [m]; the path begins with them.
     """
     ego = observation.ego
     points: Floats
@@ -185,7 +222,7 @@ def path_of(observation: Observation, behind: Floats | None = None) -> EgoPaths:
     if behind is not None and len(behind):
         to_path = points[:, :1] - behind.T
         direction = points[:, 1] - points[:, 0]
-        before = (to_path.T @ direction) > np.hypot(*direction)  # at least a metre or so before its first point
+        before = (to_path.T @ direction) > np.hypot(*direction)  # more than 1 m before its first point
         points = np.concatenate([behind.T[:, before], points], axis=1)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=1)))])
     stations = np.linspace(0.0, length[-1], max(2, round(length[-1] / PATH_SPACING_M) + 1))
@@ -198,16 +235,16 @@ def path_of(observation: Observation, behind: Floats | None = None) -> EgoPaths:
 
 
 def lane_half_width_of(observation: Observation) -> float:
-    """Half the width of the ego's lane [m]."""
+    """Return half the width of the ego's lane [m]."""
     return HALF_LANE_M if observation.road is None else observation.road.width / 2
 
 
 def _in_sight(ego: VehicleState, other: VehicleState) -> bool:
-    """Whether the two can meet soon, in whatever direction they turn."""
+    """Return whether the two can meet soon, in whichever direction they turn."""
     reach = MIN_SIGHT_M + SIGHT_S * (ego.speed + other.speed)
     return abs(other.x - ego.x) < reach and abs(other.y - ego.y) < reach
 
 
 def _is_noticed(other: VehicleState) -> bool:
-    """Whether a driver that watches can see another road user: not a pedestrian or cyclist that others hide."""
+    """Return whether a driver that watches can see another road user; others can hide pedestrians and cyclists."""
     return not (isinstance(other, Vehicle) and is_unprotected(other) and not other.visible)
