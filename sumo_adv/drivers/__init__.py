@@ -1,7 +1,7 @@
 """Drivers of the ego, the vehicle under test: controllers that drive it, and models that predict it.
 
-``make_ego`` makes a controller by name. In each step it gets an ``Observation`` and returns an ``Action``. A user's own
-driver is any class with ``reset(seed)`` and ``act(observation)``: see ``examples/``.
+``make_ego`` makes a controller by name. In each step, the controller gets an ``Observation`` and returns an ``Action``.
+A user's own driver is any class with ``reset(seed)`` and ``act(observation)``: see ``examples/``.
 """
 
 from sumo_adv.drivers.careful import CarefulEgo

@@ -1,6 +1,6 @@
-"""A driver that sees no other vehicle: the yardstick for drivers that look around.
+"""A driver that sees no other vehicle: a baseline for drivers that look around.
 
-It follows its route at the speed limit, slower in bends, and stops at lines where it must wait (lights and right of
+It follows its route at the speed limit, slower in bends, and stops at lines at which it must wait (lights and right of
 way). It never reacts to a vehicle, so every collision that a reference driver avoids can be had with it.
 """
 
@@ -17,13 +17,13 @@ from sumo_adv.drivers.lattice_frame import LINE_HOLDING_M_S2, RoadFrame
 from sumo_adv.drivers.protocol import Action, Observation, Road, Steer, Wishes
 from sumo_adv.drivers.sumo_driven import Idm, known_model, sumo_type
 
-MIN_LINE_BRAKING_M_S2 = 2.0  # it begins to brake for a line when this is needed
-MAX_BEND_LATERAL_M_S2 = 4.0  # the most that it steers for
-BEND_TIMES_S = np.arange(0.0, 4.1, 0.25)  # ahead at which the bends count
+MIN_LINE_BRAKING_M_S2 = 2.0  # it begins to brake for a line when the line requires this
+MAX_BEND_LATERAL_M_S2 = 4.0  # the maximum that it steers with
+BEND_TIMES_S = np.arange(0.0, 4.1, 0.25)  # times ahead at which bends are looked at
 
 
 class BlindEgo:
-    """State: the frame of the path that was seen last."""
+    """The controller. Its state is the frame of the last path."""
 
     name = "blind"
     forkable = True
@@ -31,7 +31,14 @@ class BlindEgo:
     wishes = Wishes(needs_road=True)
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
-        """``parameters``: those of IDM, of which the free road's count. Raises UsageError."""
+        """Read the parameters.
+
+        Args:
+            parameters: Those of IDM. Only those of the free road have an effect.
+
+        Raises:
+            UsageError: A parameter is unknown or out of range.
+        """
         self.sumo_type: Mapping[str, str] = sumo_type("idm", parameters or {})
         self._idm = Idm(**{name: float(value) for name, value in self.sumo_type.items() if name != "carFollowModel"})
         self.reset(0)
@@ -42,11 +49,15 @@ class BlindEgo:
         self._frame: RoadFrame | None = None
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
-        """Predicted by its unattacked motion."""
+        """Return the model that repeats the unattacked motion."""
         return known_model("replay", numbers)
 
     def act(self, observation: Observation) -> Action:
-        """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""
+        """Return pedals and wheel for the step.
+
+        Returns:
+            None (SUMO drives) without a path, and when the route leaves the network.
+        """
         ego, road = observation.ego, observation.road
         if observation.path is not None and observation.path is not self._points:
             self._points, self._frame = observation.path, RoadFrame(observation.path)
@@ -61,7 +72,7 @@ class BlindEgo:
 
 
 def _stopping(road: Road, ego: VehicleState) -> float:
-    """The acceleration [m/s2] with which it stops at the next line; inf while that is still far."""
+    """Return the acceleration [m/s2] with which the ego stops at the next line; inf while the line is still far."""
     room = road.stop_lines[0].ahead - ego.length / 2 - 0.5  # m before the line
     if room < 1.0:
         return LINE_HOLDING_M_S2

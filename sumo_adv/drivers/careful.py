@@ -1,14 +1,15 @@
-"""The careful and competent human driver of UN Regulation No. 157: one rule set, driven and predicted.
+"""The careful and competent human driver of UN Regulation No. 157: one set of rules, driven and predicted.
 
-When a danger shows, and how the driver brakes, are the rules of the reference driver ``cc_human``
-(``metrics/reference/cc_human.py``). Until then one of SUMO's drivers drives. The careful driver does not steer.
+The rules of the reference driver ``cc_human`` (``metrics/reference/cc_human.py``) say when a danger shows and how the
+driver brakes. Until then, one of SUMO's drivers drives. The careful driver does not steer.
 
-- ``CarefulEgo`` drives the ego: one driver that watches all vehicles in sight, in the frame of the engine's path.
-- ``CarefulDrivers`` predicts it: N drivers that watch one adversary each, in the frame of the ego's unattacked path.
-  It leaves out other vehicles, and what the driver saw before the attack. Yaw rates are relative to the path, which
-  makes a difference on bends.
+- ``CarefulEgo`` drives the ego. It is one driver that watches all vehicles in sight, in the frame of the engine's path.
+- ``CarefulDrivers`` predicts it. These are N drivers that watch one adversary each, in the frame of the ego's
+unattacked
+  path. They leave out other vehicles, and what the driver saw before the attack. Yaw rates are relative to the path,
+  which makes a difference on bends.
 
-How the driver looks at the traffic is in ``watching.py``.
+``watching.py`` describes how the driver looks at the traffic.
 """
 
 from __future__ import annotations
@@ -44,7 +45,14 @@ class CarefulEgo:
     needs_observation = True
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
-        """``parameters``: ``driver`` (krauss, idm or eidm; default idm) and that model's own. Raises UsageError."""
+        """Read the parameters.
+
+        Args:
+            parameters: ``driver`` (krauss, idm or eidm; default idm) and the parameters of that model.
+
+        Raises:
+            UsageError: The driver is unknown, or a parameter is unknown or out of range.
+        """
         own = dict(parameters or {})
         driver = own.pop("driver", "idm")
         if driver not in FOLLOWING_MODELS:
@@ -58,7 +66,7 @@ class CarefulEgo:
         self._watcher: Watcher | None = None
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
-        """Predicted by ``CarefulDrivers``, with IDM's car following."""
+        """Return the model of ``CarefulDrivers``, with IDM's car following."""
         return known_model(self.name, numbers)
 
     @property
@@ -71,7 +79,7 @@ class CarefulEgo:
         return frozenset(name for name, is_one in zip(self._watcher.watched, driver.danger[0], strict=True) if is_one)
 
     def act(self, observation: Observation) -> Action:
-        """Brake if a danger has shown for long enough; else None."""
+        """Brake if a danger has shown for long enough; otherwise return None."""
         if self._watcher is None:
             self._watcher = Watcher(CcHuman, observation.dt)
         target = self._watcher.speed(
@@ -81,25 +89,39 @@ class CarefulEgo:
 
 
 class CarefulDrivers:
-    """N predicted drivers, each of which watches one adversary of a length and width [m], ``(N,)``."""
+    """N predicted drivers, each of which watches one adversary."""
 
     def __init__(
         self, ego: tuple[float, float], length: Floats, width: Floats, dt: float, lane_half_width: Floats
     ) -> None:  # fmt: skip
-        """``ego``: length and width [m]; ``lane_half_width``: of the egos' lanes [m], ``(N,)``."""
+        """Start without any memory.
+
+        Args:
+            ego: The egos' length and width [m].
+            length: The adversaries' lengths ``(N,)`` [m].
+            width: The adversaries' widths ``(N,)`` [m].
+            dt: Step [s].
+            lane_half_width: Half the width of the egos' lanes ``(N,)`` [m].
+        """
         self._lane_half_width = lane_half_width[:, None]
         self._ego, self._length, self._width, self._dt = ego, length[:, None], width[:, None], dt
         self._history = max(1, round(YAW_RATE_SPAN_S / dt))
-        self._past: list[tuple[Floats, Floats, Floats]] = []  # offset, heading, speed of the last steps, (N, 1)
+        self._past: list[tuple[Floats, Floats, Floats]] = []  # offset, heading and speed of the last steps, each (N, 1)
         self._drivers = CcHuman((len(length), 1), dt)
 
     def bound(
         self, ego: tuple[Floats, Floats, Floats], adversary: tuple[Floats, Floats, Floats], speed: Floats
     ) -> Floats:
-        """The speeds [m/s] to which the drivers brake within this step, ``(N,)``; inf if they do not brake.
+        """Look at one step. All arrays are ``(N,)``.
 
-        ego: station, speed, acceleration. adversary: station, offset, heading of box centres in the frame of the ego's
-        path; ``speed`` [m/s]. All are ``(N,)``.
+        Args:
+            ego: The egos' stations [m], speeds [m/s] and accelerations [m/s2].
+            adversary: Stations [m], offsets [m] and headings [rad] of the adversaries' box centres in the frame of the
+                ego's path.
+            speed: The adversaries' speeds [m/s].
+
+        Returns:
+            The speeds to which the drivers brake within this step [m/s]; inf if they do not brake.
         """
         station, offset, heading = (values[:, None] for values in adversary)
         v = speed[:, None]

@@ -1,4 +1,4 @@
-"""FISS+ as an ego: a planner from outside that samples trajectories in the frame of a lane.
+"""FISS+ as an ego: an external planner that samples trajectories in the frame of a lane.
 
 Sun et al. 2023, "FISS+: Efficient and focused trajectory generation and refinement using fast iterative search and
 sampling strategy" (IROS), in the authors' package ``fiss-planner`` (Apache-2.0), which the extra ``planners`` installs.
@@ -29,40 +29,51 @@ from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.geometry import wrap
 
 REAR_AXLE_OFFSET_M = WHEELBASE_M / 2  # behind the centre, as in ``protocol.py``
-FORESEEN_S, FORESEEN_STEP_S = 6.0, 0.1  # of predictions: a second more than the longest plan
+FORESEEN_S, FORESEEN_STEP_S = 6.0, 0.1  # length and step of predictions, a second more than the longest plan
 HARDEST_BRAKING_M_S2 = 8.0
 MAX_PLANNED_LATERAL_M_S2 = 4.0  # the planner's own limit
-KEPT_PATH_BEHIND_M = 15.0  # of the last path that are kept
+KEPT_PATH_BEHIND_M = 15.0  # how much of the last path is kept
 LANE_POINT_SPACING_M = 1.0  # between the points of a lane
 LINE_ID, OWN_LANE_ID = 1, 1  # ids in the planner's map
 LINE_SETBACK_M = 1.5  # the planner stops its minimal gap before a line, so the line is set this far behind the real one
-LINE_TOLERANCE_M = 1.0  # by which a line must be elsewhere before the map is drawn again
-AGAINST_PATH_RAD = 3 * math.pi / 4  # between a vehicle and the path
+LINE_TOLERANCE_M = 1.0  # how far a line must be off before the map is drawn again
+AGAINST_PATH_RAD = 3 * math.pi / 4  # a vehicle at more than this to the path comes against it
 ONCOMING_PATH_DISTANCE_M = 8.0  # oncoming vehicles at most this far from the path follow its bends
 
 
 class FissPlusEgo:
-    """State: the planner with its last plan, the controller, the frame of the path, and the map drawn on it."""
+    """The controller. Its state: the planner with its last plan, the tracking controller, the path's frame and map."""
 
     name = "fiss_plus"
-    forkable = True  # one thread, and memory of its own alone
+    forkable = True  # one thread, and memory that it shares with nothing
     needs_observation = True
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
-        """``parameters``: those of IDM, which drives where no path is known. Raises UsageError."""
+        """Read the parameters.
+
+        Args:
+            parameters: Those of IDM, which drives if no path is known.
+
+        Raises:
+            UsageError: A parameter is unknown or out of range.
+        """
         self.sumo_type: Mapping[str, str] = sumo_type("idm", parameters or {})
         self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Forget everything; the seed is not needed."""
-        self._begun: float | None = None  # s, the simulation's time when the planner's clock was 0
+        self._begun: float | None = None  # simulation time [s] at which the planner's clock was 0
         self._points: Sequence[tuple[float, float]] | None = None
         self._frame: RoadFrame | None = None
-        self._drawn: tuple[RoadFrame, str, float] | None = None  # what the map was drawn for: frame, lane, line
-        self._wheel = 0.0  # rad, in the last step
+        self._drawn: tuple[RoadFrame, str, float] | None = None  # frame, lane and line for which the map was drawn
+        self._wheel = 0.0  # [rad], in the last step
 
     def act(self, observation: Observation) -> Action:
-        """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""
+        """Return pedals and wheel for the step.
+
+        Returns:
+            None (SUMO drives) without a path, and when the route leaves the network.
+        """
         ego, road = observation.ego, observation.road
         if observation.path is not None and observation.path is not self._points:
             self._points, self._frame = observation.path, RoadFrame(_joined(self._frame, observation.path))
@@ -73,7 +84,7 @@ class FissPlusEgo:
             self._planner, self._controller = _planner(ego)
         self._update_map(self._frame, ego, road)
         others = [self._predict(self._frame, vehicle) for vehicle in observation.others]
-        since = round(observation.time - self._begun, 6)  # its choices are discrete: the last digit could tip them
+        since = round(observation.time - self._begun, 6)  # its choices are discrete: the last digit could change them
         plan = self._planner.step(since, self._rear_axle(ego), others, road.limit)
         if plan.emergency or len(np.asarray(plan.trajectory.t)) < 2:
             self._wheel = self._frame.wheel(ego, MAX_PLANNED_LATERAL_M_S2)
@@ -87,7 +98,7 @@ class FissPlusEgo:
         return fiss.EgoState(x, y, ego.heading, ego.speed, ego.acceleration, math.tan(self._wheel) / WHEELBASE_M)
 
     def _update_map(self, frame: RoadFrame, ego: VehicleState, road: Road) -> None:
-        """Draw the map where path, lane or stop line are new; close the line while the ego must wait."""
+        """Draw the map if path, lane or stop line are new; close the line while the ego must wait."""
         here = frame.locate(ego)[0]
         line = here + road.stop_lines[0].ahead if road.stop_lines else math.inf
         if self._drawn is None or self._drawn[:2] != (frame, ego.lane) or not _same(self._drawn[2], line):
@@ -97,8 +108,10 @@ class FissPlusEgo:
         self._planner.set_stop_line_active(LINE_ID, road.must_wait)
 
     def _predict(self, frame: RoadFrame, other: VehicleState) -> Any:
-        """The planner's own prediction for vehicles that go the ego's way, and for those that cross it. It knows no
-        lanes that lead against the ego's: an oncoming vehicle keeps its offset from the path."""
+        """Predict a vehicle with the planner's own predictions if it goes the ego's way or crosses it.
+
+        The planner knows no lanes that lead against the ego's: an oncoming vehicle keeps its offset from the path.
+        """
         number = zlib.crc32(other.id.encode()) & 0x7FFFFFFF
         s, d, turn = frame.locate(other)
         place, size = (other.x, other.y, other.heading, other.speed), (other.length, other.width)
@@ -113,8 +126,11 @@ class FissPlusEgo:
 
 
 def _joined(before: RoadFrame | None, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The points of a new path with the last path before them: a path begins at the ego's centre, and the rear axle,
-    for which FISS+ plans, is behind it. Where the new path is beside the last one, that one is moved sideways."""
+    """Put the last path before a new path.
+
+    A path begins at the ego's centre, and FISS+ plans for the rear axle, which is behind it. If the new path is beside
+    the last one, the last one is moved sideways.
+    """
     if before is None:
         return list(points)
     begins, offset = (float(q[0]) for q in before.project(*(np.array([q]) for q in (*points[0], 0.0)))[:2])
@@ -124,7 +140,7 @@ def _joined(before: RoadFrame | None, points: Sequence[tuple[float, float]]) -> 
 
 
 def _planner(ego: VehicleState) -> tuple[Any, Any]:
-    """Planner and controller for a car of the ego's size."""
+    """Return the planner and the controller for a car of the ego's size."""
     car, config = fiss.VehicleParams(), fiss.LocalPlannerConfig()
     car.length, car.width = ego.length, ego.width
     car.max_decel, car.max_lat_accel = HARDEST_BRAKING_M_S2, MAX_PLANNED_LATERAL_M_S2
@@ -134,9 +150,13 @@ def _planner(ego: VehicleState) -> tuple[Any, Any]:
 
 
 def _road_map(frame: RoadFrame, here: float, road: Road, line: float) -> Any:
-    """The ego's lane, which is its path, and the lanes beside it as far as they lead the same way.
+    """Draw the ego's lane, which is its path, and the lanes beside it as far as they lead the same way.
 
-    here: the ego's station [m]; line: that of the next stop line, inf without one.
+    Args:
+        frame: The frame of the path.
+        here: The ego's station [m].
+        road: The road at the ego.
+        line: Station of the next stop line [m]; inf if there is none.
     """
     offsets = sorted((0.0, *road.sides))  # from right to left
     ids = [OWN_LANE_ID if offset == 0.0 else OWN_LANE_ID + 1 + k for k, offset in enumerate(offsets)]

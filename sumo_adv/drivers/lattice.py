@@ -1,9 +1,9 @@
 """The lattice driver's settings, and its rules for one step: ordinary driving, and the wheel.
 
-The driver lays candidate motions along its path (``lattice_candidates.py``), expects other vehicles there
-(``lattice_frame.py``) and carries out the beginning of the cheapest candidate.  It perceives at once and exactly, and
-knows no intentions of others.  The rules hold for ``n`` egos at once.
-``lattice_ego.py`` drives one ego in SUMO by them.
+The driver lays candidate motions along its path (``lattice_candidates.py``), predicts other vehicles on it
+(``lattice_frame.py``) and carries out the beginning of the cheapest candidate. It perceives at once and exactly, and
+does not know the intentions of others. The rules hold for ``n`` egos at once. ``lattice_ego.py`` drives one ego in SUMO
+by them.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from sumo_adv.drivers.protocol import MAX_STEERING_RAD, WHEELBASE_M
 from sumo_adv.drivers.sumo_driven import Idm
 
 COMPARED_STEP_S = 0.2  # between the compared times
-BRAKE_RELEASE_M_S3, RELEASED_ACCELERATION_M_S2 = 3.0, -2.0  # how fast it releases the brake, and up from where
-SETTING_OFF_SPEED_M_S = 1.0  # below it the brake is released at once
-SLOWING_RATE_1_S = 2.0  # how fast it slows down to a desired speed below its own
+BRAKE_RELEASE_M_S3, RELEASED_ACCELERATION_M_S2 = 3.0, -2.0  # how fast it releases the brake, and from where
+SETTING_OFF_SPEED_M_S = 1.0  # at lower speeds, the brake is released at once
+SLOWING_RATE_1_S = 2.0  # how fast it slows down to a lower desired speed
 MIN_DESIRED_SPEED_M_S = 0.5  # the lowest desired speed
 STEERING_LOOK_AHEAD_S, MIN_STEERING_LOOK_AHEAD_M = 0.2, 2.0  # how far ahead the wheel aims
 LEADER_WIDTH_MARGIN_M = 0.1  # added to the width of the ego's way
@@ -28,11 +28,18 @@ LEADER_WIDTH_MARGIN_M = 0.1  # added to the width of the ego's way
 
 @dataclass(frozen=True, slots=True)
 class LatticeSettings:
-    """The driver's own settings, and those of IDM for ordinary driving."""
+    """The driver's own settings, and those of IDM for ordinary driving.
 
-    horizon: float = 4.0  # s, how far it plans
-    braking: float = 8.0  # m/s2, its emergency brake
-    lateral: float = 6.5  # m/s2, the maximum that its wheel asks for
+    Attributes:
+        horizon: How far ahead it plans [s].
+        braking: Deceleration of its emergency brake [m/s2].
+        lateral: Maximum lateral acceleration that its wheel asks for [m/s2].
+        idm: Parameters of IDM.
+    """
+
+    horizon: float = 4.0
+    braking: float = 8.0
+    lateral: float = 6.5
     idm: Idm = field(default_factory=Idm)
 
     @property
@@ -42,16 +49,25 @@ class LatticeSettings:
 
 
 class Size(NamedTuple):
-    """Length and width [m] of all egos."""
+    """Length and width of all egos [m]."""
 
     length: float
     width: float
 
 
 class LatticeEgos(NamedTuple):
-    """Egos on their paths, each ``(n,)``: station s and offset d (left positive) of the box centre [m], speed,
-    acceleration, first and second derivative of the offset; target offset [m] and remaining time [s] of the present
-    move sideways."""
+    """Egos on their paths. Arrays are ``(n,)``.
+
+    Attributes:
+        s: Station of the box centre [m].
+        d: Offset of the box centre from the path [m, left positive].
+        speed: Speed [m/s].
+        acceleration: Acceleration [m/s2].
+        rate: First derivative of the offset [m/s].
+        second: Second derivative of the offset [m/s2].
+        target: Target offset of the present lateral move [m].
+        left: Remaining time of the present lateral move [s].
+    """
 
     s: Floats
     d: Floats
@@ -66,8 +82,12 @@ class LatticeEgos(NamedTuple):
 class Expected(NamedTuple):
     """Expected boxes of ``m`` vehicles for each ego, along the axes of its path.
 
-    s, d: centres, half_s, half_d: half extents [m], ``(n, m, time)``.  speed: along the path [m/s], ``(n, m)``.  The
-    stations of a vehicle that does not matter to the ego are ``inf``.
+    Attributes:
+        s: Stations of the centres ``(n, m, time)`` [m]; ``inf`` if the vehicle does not matter to the ego.
+        d: Offsets of the centres ``(n, m, time)`` [m].
+        half_s: Half extents along the path ``(n, m, time)`` [m].
+        half_d: Half extents across the path ``(n, m, time)`` [m].
+        speed: Speeds along the path ``(n, m)`` [m/s].
     """
 
     s: Floats
@@ -78,8 +98,16 @@ class Expected(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What egos keep from one step to the next, each ``(n,)``: acceleration and reference acceleration [m/s2], slip
-    angle [rad]; target offset [m], remaining time [s] and second derivative [m/s2] of the move sideways."""
+    """What egos keep from one step to the next. Arrays are ``(n,)``.
+
+    Attributes:
+        acceleration: Acceleration [m/s2].
+        reference: Acceleration of ordinary driving [m/s2].
+        slip: Slip angle [rad].
+        target: Target offset of the lateral move [m].
+        left: Remaining time of the lateral move [s].
+        second: Second derivative of the offset [m/s2].
+    """
 
     acceleration: Floats
     reference: Floats
@@ -90,11 +118,18 @@ class Memory(NamedTuple):
 
     @staticmethod
     def first(acceleration: Floats, reference: Floats) -> Memory:
-        """Before the first step: on the centre, the wheel straight."""
+        """Return the memory before the first step: on the centre, the wheel straight."""
         return Memory(acceleration, reference, *(np.zeros(len(acceleration)) for _ in range(4)))
 
     def egos(self, s: Floats, d: Floats, turn: Floats, speed: Floats) -> LatticeEgos:
-        """The egos that remember this; ``turn``: heading against the path [rad]."""
+        """Return the egos that have this memory.
+
+        Args:
+            s: Stations [m].
+            d: Offsets [m].
+            turn: Headings against the path [rad].
+            speed: Speeds [m/s].
+        """
         rate = speed * np.sin(turn + self.slip)
         return LatticeEgos(s, d, speed, self.acceleration, rate, self.second, self.target, self.left)
 
@@ -102,10 +137,19 @@ class Memory(NamedTuple):
 def reference(
     egos: LatticeEgos, size: Size, others: Expected, desired: Floats, cap: Floats, settings: LatticeSettings
 ) -> Floats:
-    """Accelerations [m/s2] of ordinary driving (IDM behind the expected leader) by time, ``(n, time)``.
+    """Compute the accelerations of ordinary driving (IDM behind the expected leader).
 
-    ``desired``, ``(n, time)``: speeds [m/s] on a free road. ``cap``, ``(n,)``: the maximum now. A braking cap holds for
-    all times, any other for the first one only.
+    Args:
+        egos: The egos.
+        size: Their size.
+        others: The expected vehicles.
+        desired: Speeds on a free road ``(n, time)`` [m/s].
+        cap: Maximum acceleration now ``(n,)`` [m/s2]. A cap below 0 holds for all times, another one only for the first
+            time.
+        settings: The driver's settings.
+
+    Returns:
+        The accelerations by time ``(n, time)`` [m/s2].
     """
     idm = settings.idm
     rear, pace = _leader(egos, size, others, len(settings.times))
@@ -125,18 +169,38 @@ def reference(
 
 
 def eased(cap: Floats, speed: Floats, before: Floats, dt: float) -> Floats:
-    """``cap`` [m/s2], lowered so that the brake is released gradually; ``before``: the reference a step ago."""
+    """Lower a cap so that the brake is released gradually.
+
+    Args:
+        cap: Maximum acceleration [m/s2].
+        speed: Speed [m/s].
+        before: Acceleration of ordinary driving one step ago [m/s2].
+        dt: Step [s].
+
+    Returns:
+        The lower cap [m/s2].
+    """
     gradual = np.maximum(before, RELEASED_ACCELERATION_M_S2) + BRAKE_RELEASE_M_S3 * dt
     return np.where(speed > SETTING_OFF_SPEED_M_S, np.minimum(cap, gradual), cap)
 
 
 def look_ahead(speed: Floats) -> Floats:
-    """How far ahead [m] the wheel aims."""
+    """Return how far ahead the wheel aims [m], at a speed [m/s]."""
     return np.maximum(STEERING_LOOK_AHEAD_S * speed, MIN_STEERING_LOOK_AHEAD_M)
 
 
 def steering(angle: Floats, ahead: Floats, speed: Floats, lateral: float) -> tuple[Floats, Floats]:
-    """Wheel and slip angle [rad] that lead to a point ``ahead`` [m] at ``angle`` [rad] to the heading."""
+    """Compute the wheel angle that leads to a point.
+
+    Args:
+        angle: Direction to the point against the heading [rad].
+        ahead: Distance of the point [m].
+        speed: Speed [m/s].
+        lateral: Maximum lateral acceleration [m/s2].
+
+    Returns:
+        The wheel angle [rad] and the slip angle [rad].
+    """
     grip = np.arcsin(np.minimum(1.0, lateral * WHEELBASE_M / (2 * np.maximum(speed, 1.0) ** 2)))
     slip = np.clip(angle / (1 + ahead / WHEELBASE_M), -grip, grip)
     wheel = np.clip(np.arctan(2 * np.tan(slip)), -MAX_STEERING_RAD, MAX_STEERING_RAD)
@@ -144,12 +208,18 @@ def steering(angle: Floats, ahead: Floats, speed: Floats, lateral: float) -> tup
 
 
 def _free(v: Floats, desired: Floats, idm: Idm) -> Floats:
-    """The free-road term of IDM, as a share of its acceleration; above the desired speed it slows down to it."""
+    """Return the free-road term of IDM, as a share of its acceleration.
+
+    Above the desired speed, the vehicle slows down to it.
+    """
     return np.where(v <= desired, 1.0 - (v / desired) ** idm.delta, (desired - v) * SLOWING_RATE_1_S / idm.accel)
 
 
 def _leader(egos: LatticeEgos, size: Size, others: Expected, count: int) -> tuple[Floats, Floats]:
-    """Station of the nearest rear ahead in the ego's way, and its speed, ``(n, time)``; ``inf`` and 0 without one."""
+    """Return the station and the speed of the nearest rear end ahead in the ego's way, ``(n, time)``.
+
+    They are ``inf`` and 0 if there is none.
+    """
     n, m = others.speed.shape
     if m == 0:
         return np.full((n, count), np.inf), np.zeros((n, count))

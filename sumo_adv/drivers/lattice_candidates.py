@@ -1,12 +1,13 @@
 """The candidates of lattice drivers and their costs: each motion along the path with each motion sideways.
 
 Sideways: quintic polynomials from the present offset, its rate and its second derivative to an offset that is then kept
-(Werling et al. 2010, "Optimal trajectory generation for dynamic street scenarios in a Frenet frame").  Along: the
-reference (ordinary driving), and accelerations that are ramped to and held, until standstill or the maximum speed;
-quartics towards a speed, as in the paper, would be too slow in an emergency.
+(Werling et al. 2010, "Optimal trajectory generation for dynamic street scenarios in a Frenet frame").
 
-A contact costs more the sooner and the faster it is.  So a far one asks for gentle braking, and a near one for anything
-that avoids it.  Boxes are compared along the path's axes, which for a box at an angle to them is the larger box.
+Along: ordinary driving (the reference), and accelerations that are ramped to and held, until standstill or the maximum
+speed. Quartics towards a speed, as in the paper, would be too slow in an emergency.
+
+A contact costs more the sooner and the faster it is. A far contact therefore leads to gentle braking, and a near one to
+anything that avoids it. Boxes are compared along the path's axes; a box at an angle to them counts as a larger box.
 
 Arrays are ``(n, along, time)`` and ``(n, aside, time)`` for the candidates of ``n`` egos.
 """
@@ -22,13 +23,13 @@ from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.drivers.lattice import COMPARED_STEP_S, Expected, LatticeEgos, LatticeSettings, Size
 from sumo_adv.geometry import quintics
 
-MOVE_DURATIONS_S = (1.2, 2.0, 3.0)  # of a move sideways
-MIN_MOVE_REMAINDER_S = 0.5  # the least that is left of a move
+MOVE_DURATIONS_S = (1.2, 2.0, 3.0)  # durations of a move sideways
+MIN_MOVE_REMAINDER_S = 0.5  # minimum remaining time of a move
 LATERAL_OFFSETS_M = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)  # from the lane's centre
 BRAKING_LEVELS_M_S2 = (2.0, 4.0)  # comfortable, hard; the emergency brake is a setting
 PEDAL_JERK_M_S3 = 20.0  # how fast pedals act
 CONTACT_COST, CONTACT_SOON_S, CONTACT_FADE_S = 1000.0, 1.5, 0.8
-NEAR_COST_1_S, CLOSE_COST_1_S, NEAR_FADE_S = 60.0, 6.0, 1.5  # within the margins of a contact
+NEAR_COST_1_S, CLOSE_COST_1_S, NEAR_FADE_S = 60.0, 6.0, 1.5  # within these margins around a vehicle
 CONTACT_MARGINS_M = (0.3, 0.15)  # along, across
 NEAR_MARGINS_M = (1.0, 0.3)
 CLOSE_MARGINS_M, CLOSE_MARGIN_HEADWAY_S = (1.5, 0.6), 0.2  # the margin along grows with speed
@@ -44,8 +45,15 @@ FIRST_SET_BIT = np.where(BYTE_BITS.any(axis=1), BYTE_BITS.argmax(axis=1), 1 << 2
 
 
 class Space(NamedTuple):
-    """Where egos may go: target offsets [m], ``(k,)``; half the lane's width, right and left edge with the lanes beside
-    it [m], and how far ahead these lanes lead [m], each ``(n,)``."""
+    """Where egos may go.
+
+    Attributes:
+        offsets: Target offsets ``(k,)`` [m].
+        half: Half the width of the egos' lanes ``(n,)`` [m].
+        right: Right edge, including the lanes beside the ego's, ``(n,)`` [m].
+        left: Left edge, including the lanes beside the ego's, ``(n,)`` [m].
+        until: How far ahead the lanes beside lead ``(n,)`` [m].
+    """
 
     offsets: Floats
     half: Floats
@@ -55,9 +63,15 @@ class Space(NamedTuple):
 
     @staticmethod
     def between(half: Floats, sides: Sequence[Sequence[float]], until: Floats, width: float) -> Space:
-        """The space of egos of a width [m]; ``sides``: centres of the lanes beside theirs [m].
+        """Return the space of egos.
 
         The targets are those of the first ego: the lane's centre, steps aside within the edges, and ``sides``.
+
+        Args:
+            half: Half the width of the egos' lanes ``(n,)`` [m].
+            sides: Centres of the lanes beside each ego's lane, as offsets [m].
+            until: How far ahead the lanes beside lead ``(n,)`` [m].
+            width: Width of the egos [m].
         """
         right, left = (np.array([edge((0.0, *s)) for s in sides]) for edge in (min, max))
         right, left = right - half, left + half
@@ -66,7 +80,13 @@ class Space(NamedTuple):
 
 
 class LongitudinalCandidates(NamedTuple):
-    """Candidates along, the reference first: station s [m], speed v [m/s], acceleration a [m/s2]."""
+    """Candidates along the path, the reference first. Arrays are ``(n, along, time)``.
+
+    Attributes:
+        s: Station [m].
+        v: Speed [m/s].
+        a: Acceleration [m/s2].
+    """
 
     s: Floats
     v: Floats
@@ -74,8 +94,16 @@ class LongitudinalCandidates(NamedTuple):
 
 
 class Aside(NamedTuple):
-    """Candidates sideways: offset d [m], its rate and second derivative; target [m], duration [s] and jerk (integral of
-    the third derivative's square [m2/s5]), ``(n, aside)``."""
+    """Candidates sideways.
+
+    Attributes:
+        d: Offset ``(n, aside, time)`` [m].
+        rate: First derivative of the offset ``(n, aside, time)`` [m/s].
+        second: Second derivative of the offset ``(n, aside, time)`` [m/s2].
+        target: Target offset ``(n, aside)`` [m].
+        duration: Duration of the move ``(n, aside)`` [s].
+        jerk: Integral of the square of the third derivative ``(n, aside)`` [m2/s5].
+    """
 
     d: Floats
     rate: Floats
@@ -86,8 +114,17 @@ class Aside(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """The cheapest candidates, ``(n,)``: index of the one along (0: the reference); acceleration and second derivative
-    of the offset a step on [m/s2]; target [m] and duration [s] sideways; s and d [m] by time, ``(n, time)``."""
+    """The cheapest candidates.
+
+    Attributes:
+        along: Index of the candidate along the path (0: the reference), ``(n,)``.
+        acceleration: Acceleration one step from now ``(n,)`` [m/s2].
+        second: Second derivative of the offset one step from now ``(n,)`` [m/s2].
+        target: Target offset ``(n,)`` [m].
+        duration: Duration of the move sideways ``(n,)`` [s].
+        s: Stations by time ``(n, time)`` [m].
+        d: Offsets by time ``(n, time)`` [m].
+    """
 
     along: Ints
     acceleration: Floats
@@ -98,7 +135,14 @@ class Chosen(NamedTuple):
     d: Floats
 
     def offset_after(self, ahead: Floats) -> Floats:
-        """The offsets [m] of the chosen motions at the place ``ahead`` [m] of the present stations, ``(n,)``."""
+        """Return the offsets of the chosen motions at places ahead.
+
+        Args:
+            ahead: Distance of the places from the present stations ``(n,)`` [m].
+
+        Returns:
+            The offsets ``(n,)`` [m].
+        """
         way = self.s - self.s[:, :1] + 1e-6 * COMPARED_STEP_S * np.arange(self.s.shape[1])  # grows even at standstill
         reached = way >= ahead[:, None]
         k = np.where(reached.any(axis=1), np.maximum(reached.argmax(axis=1), 1), way.shape[1] - 1)
@@ -112,8 +156,19 @@ def choose(
     egos: LatticeEgos, size: Size, reference: Floats, fastest: Floats, others: Expected, space: Space,
     settings: LatticeSettings, dt: float, curvature: Callable[[Floats], Floats] | None = None,
 ) -> Chosen:  # fmt: skip
-    """The cheapest candidates. ``reference``, ``(n, time)``; ``fastest``: the maximum speed [m/s], ``(n,)``;
-    ``curvature`` [1/m] of the paths at stations, None if they are straight; ``dt``: a step [s]."""
+    """Return the cheapest candidates.
+
+    Args:
+        egos: The egos.
+        size: Their size.
+        reference: Accelerations of ordinary driving ``(n, time)`` [m/s2].
+        fastest: Maximum speeds ``(n,)`` [m/s].
+        others: The expected vehicles.
+        space: Where the egos may go.
+        settings: The driver's settings.
+        dt: Step [s].
+        curvature: Returns the curvature [1/m] of the paths at stations; None if they are straight.
+    """
     times = settings.times
     on = longitudinal_candidates(egos, reference, fastest, settings)
     off = lateral_candidates(egos, space.offsets, times)
@@ -134,7 +189,10 @@ def choose(
 def longitudinal_candidates(
     egos: LatticeEgos, reference: Floats, fastest: Floats, settings: LatticeSettings
 ) -> LongitudinalCandidates:
-    """The reference, keep the speed, accelerate to the ``fastest`` [m/s], and three brakes."""
+    """Return the candidates along the path.
+
+    They are the reference, keeping the speed, accelerating up to ``fastest`` [m/s], and three brakings.
+    """
     times, accelerate = settings.times, np.where(egos.speed < fastest, settings.idm.accel, 0.0)
     aims = np.zeros((len(fastest), 5, 1))
     aims[:, 1, 0], aims[:, 2:, 0] = accelerate, [*(-b for b in BRAKING_LEVELS_M_S2), -settings.braking]
@@ -147,7 +205,10 @@ def longitudinal_candidates(
 
 
 def lateral_candidates(egos: LatticeEgos, offsets: Floats, times: Floats) -> Aside:
-    """To each of ``offsets`` [m] in each of ``MOVE_DURATIONS_S``, and the rest of the present move."""
+    """Return the candidates sideways.
+
+    They go to each of ``offsets`` [m] in each of ``MOVE_DURATIONS_S``; the last one is the rest of the present move.
+    """
     count = len(MOVE_DURATIONS_S) * len(offsets)
     target, duration = np.empty((2, len(egos.d), count + 1))
     target[:, :-1] = np.repeat(offsets, len(MOVE_DURATIONS_S))
@@ -159,14 +220,14 @@ def lateral_candidates(egos: LatticeEgos, offsets: Floats, times: Floats) -> Asi
 
 
 def _summed(values: Floats) -> Floats:
-    """The integral by time (the last axis), by trapezia from 0."""
+    """Integrate by time (the last axis), with trapezia from 0."""
     result = np.zeros_like(values)
     np.cumsum((values[..., 1:] + values[..., :-1]) * (COMPARED_STEP_S / 2), axis=-1, out=result[..., 1:])
     return result
 
 
 def _after(values: Floats, dt: float) -> Floats:
-    """``values``, ``(n, time)``, ``dt`` [s] from now."""
+    """Return ``values``, ``(n, time)``, at ``dt`` [s] from now."""
     at = min(dt / COMPARED_STEP_S, values.shape[1] - 1.0)
     k = min(int(at), values.shape[1] - 2)
     return np.asarray(values[:, k] * (k + 1 - at) + values[:, k + 1] * (at - k))
@@ -189,14 +250,14 @@ def _pace(on: LongitudinalCandidates) -> Floats:
 
 
 def _turned(off: Aside, on: LongitudinalCandidates) -> Floats:
-    """The heading [rad] against the path, as the reference would have it."""
+    """Return the heading [rad] against the path that the candidate has at the speeds of the reference."""
     return np.asarray(np.minimum(np.abs(off.rate) / np.maximum(on.v[:, :1], 3.0), 0.4))
 
 
 def _off_road(
     off: Aside, on: LongitudinalCandidates, egos: LatticeEgos, size: Size, space: Space, times: Floats
 ) -> Floats:
-    """By the metres that the box sticks out over the road's edges, more than it does now; ``(n, aside)``."""
+    """Return the cost of the metres by which the box sticks out over the road's edges, beyond now, ``(n, aside)``."""
     beside = egos.speed[:, None] * times < space.until[:, None]
     right = np.where(beside, space.right[:, None], -space.half[:, None])[:, None]
     left = np.where(beside, space.left[:, None], space.half[:, None])[:, None]
@@ -206,7 +267,10 @@ def _off_road(
 
 
 def _physics(on: LongitudinalCandidates, off: Aside, bend: Floats | None) -> Floats:
-    """Moving sideways without going on, and accelerations beyond the friction circle; ``(n, along, aside)``."""
+    """Return the cost of lateral motion without progress, and of accelerations beyond the friction circle.
+
+    The shape is ``(n, along, aside)``.
+    """
     slope = (np.abs(off.rate)[:, None] - (MAX_LATERAL_SLOPE * on.v + 0.1)[:, :, None]).max(axis=3)
     sideways = off.second[:, None] if bend is None else off.second[:, None] + (bend * on.v**2)[:, :, None]
     square = np.where((on.v > 0.5)[:, :, None], sideways**2 + (on.a**2)[:, :, None], 0.0).max(axis=3)
@@ -215,7 +279,7 @@ def _physics(on: LongitudinalCandidates, off: Aside, bend: Floats | None) -> Flo
 
 
 def _meetings(on: LongitudinalCandidates, off: Aside, others: Expected, size: Size, times: Floats) -> Floats:
-    """Contacts with and nearness to other vehicles; ``(n, along, aside)``."""
+    """Return the cost of contacts with and nearness to other vehicles, ``(n, along, aside)``."""
     gap_s = np.abs(others.s[:, None] - on.s[:, :, None]) - others.half_s[:, None] - size.length / 2
     corner = _turned(off, on)[:, :, None] * size.length / 2
     gap_d = np.abs(others.d[:, None] - off.d[:, :, None]) - others.half_d[:, None] - size.width / 2 - corner
@@ -233,8 +297,15 @@ def _meetings(on: LongitudinalCandidates, off: Aside, others: Expected, size: Si
 
 
 def _overlap(along: Bools, across: Bools) -> Ints:
-    """Times at which any other vehicle overlaps along ``(n, along, m, time)`` and across ``(n, aside, m, time)``: a bit
-    for each time, eight to a byte, ``(bytes, n, along, aside)``."""
+    """Find the times at which any other vehicle overlaps both along and across.
+
+    Args:
+        along: Overlap along the path ``(n, along, m, time)``.
+        across: Overlap across the path ``(n, aside, m, time)``.
+
+    Returns:
+        A bit for each time, eight to a byte, ``(bytes, n, along, aside)``.
+    """
     a, b = (np.moveaxis(np.packbits(q, axis=-1), (-1, 2), (0, 1)) for q in (along, across))
     result = np.zeros((len(a), *along.shape[:2], across.shape[1]), np.uint8)
     for i in range(a.shape[1]):
@@ -243,12 +314,12 @@ def _overlap(along: Bools, across: Bools) -> Ints:
 
 
 def _first(bits: Ints) -> Ints:
-    """The index of the first time with a bit set; a large number if there is none."""
+    """Return the index of the first time with a bit set; a large number if there is none."""
     return np.min([FIRST_SET_BIT[byte] + 8 * k for k, byte in enumerate(bits)], axis=0)
 
 
 def _total(bits: Ints, weights: Floats) -> Floats:
-    """The sum of ``weights``, ``(time,)``, over the times with a bit set."""
+    """Return the sum of ``weights``, ``(time,)``, over the times with a bit set."""
     padded = np.zeros(8 * len(bits))
     padded[: len(weights)] = weights
     return np.sum([(BYTE_BITS @ padded[8 * k : 8 * k + 8])[byte] for k, byte in enumerate(bits)], axis=0)

@@ -1,8 +1,9 @@
 """The lattice driver as an ego, which brakes and swerves.
 
-In every step it takes the cheapest of its candidates (``lattice_candidates.py``) on the frame of its route path, and
-carries out the beginning of it with the bicycle model (``protocol.py``).  Without danger it drives as IDM behind the
-vehicle ahead, slower in bends and where SUMO's own driver would be (``Road.advised``: lights and right of way).
+In every step, it takes the cheapest of its candidates (``lattice_candidates.py``) on the frame of its route path. It
+carries out the beginning of the candidate with the bicycle model (``protocol.py``). Without danger, it drives as IDM
+behind the vehicle ahead. It is slower in bends, and wherever SUMO's own driver would be (``Road.advised``: lights and
+right of way).
 """
 
 from __future__ import annotations
@@ -33,21 +34,28 @@ from sumo_adv.drivers.sumo_driven import Idm, sumo_type
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
 
-# Without advice, an ego that is slower than this, and its centre nearer than this to a line, stands at the line.
+# Without advice, an ego stands at a line if it is slower than this and its centre is nearer to the line than this.
 LINE_STANDING_SPEED_M_S, LINE_STANDING_DISTANCE_M = 1.0, 12.5
 OWN_SETTINGS = ("horizon", "braking", "lateral")  # settings that SUMO does not know
 
 
 class LatticeEgo:
-    """State: the frame of the path, where other vehicles were, and what the ego began in the last step."""
+    """The controller. Its state is the path's frame, the past of other vehicles, and what the ego began last step."""
 
     name = "lattice"
     forkable = True
     needs_observation = True
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
-        """``parameters``: horizon, braking, lateral of ``LatticeSettings``, visible_only (False) of ``Wishes``, and
-        those of IDM. Raises UsageError."""
+        """Read the parameters.
+
+        Args:
+            parameters: ``horizon``, ``braking`` and ``lateral`` of ``LatticeSettings``, ``visible_only`` of ``Wishes``
+                (default False), and those of IDM.
+
+        Raises:
+            UsageError: A parameter is unknown or out of range.
+        """
         others = dict(parameters or {})
         visible_only = others.pop("visible_only", False)
         if not isinstance(visible_only, bool):
@@ -68,11 +76,15 @@ class LatticeEgo:
         self._points: Sequence[tuple[float, float]] | None = None
         self._frame: RoadFrame | None = None
         self._memory: Memory | None = None
-        self._speed, self._asked = 0.0, 0.0  # m/s, before the last step, and asked for after it
+        self._speed, self._asked = 0.0, 0.0  # [m/s] before the last step, and asked for after it
         self._cruising: float | None = None
 
     def act(self, observation: Observation) -> Action:
-        """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""
+        """Return pedals and wheel for the step.
+
+        Returns:
+            None (SUMO drives) without a path, and when the route leaves the network.
+        """
         ego, dt, settings = observation.ego, observation.dt, self.settings
         moving = self._watch.look(observation.time, observation.others)
         frame = self._framed(observation)
@@ -104,7 +116,10 @@ class LatticeEgo:
         return Steer(pedal, float(wheel[0]))
 
     def _framed(self, observation: Observation) -> RoadFrame | None:
-        """The frame of the present path, else the last one; the target offset is carried over to a new one."""
+        """Return the frame of the present path or, without one, the last frame.
+
+        The target offset is carried over to a new frame.
+        """
         if observation.path is None or observation.path is self._points:
             return self._frame
         frame = RoadFrame(observation.path)
@@ -115,7 +130,7 @@ class LatticeEgo:
         return frame
 
     def _free_speed(self, ego: VehicleState) -> float:
-        """Without a road: the ego's first speed [m/s]."""
+        """Return the ego's first speed [m/s], which is used if no road is known."""
         if self._cruising is None:
             self._cruising = max(ego.speed, 1.0)
         return self._cruising
@@ -123,7 +138,7 @@ class LatticeEgo:
     def _reference(
         self, frame: RoadFrame, egos: LatticeEgos, size: Size, others: Expected, road: Road, dt: float
     ) -> Floats:
-        """Accelerations [m/s2] of ordinary driving, ``(1, time)``."""
+        """Return the accelerations of ordinary driving ``(1, time)`` [m/s2]."""
         assert self._memory is not None
         times, v = self.settings.times, egos.speed[:, None]
         bends = frame.bend(egos.s[:, None] + size.length / 2 + np.maximum(v, 1.0) * times)[1]
@@ -132,7 +147,10 @@ class LatticeEgo:
         return reference(egos, size, others, speed, cap, self.settings)
 
     def _advice(self, road: Road, speed: float, dt: float) -> float:
-        """The maximum acceleration [m/s2] by SUMO's driver, if it was slower than the ego asked for or may not go."""
+        """Return the maximum acceleration [m/s2] by SUMO's driver; inf if it does not limit the ego.
+
+        It limits the ego if it was slower than the ego asked for, or if it may not go.
+        """
         if road.advised is None:
             near = bool(road.stop_lines) and road.stop_lines[0].ahead < LINE_STANDING_DISTANCE_M
             at_line = speed < LINE_STANDING_SPEED_M_S and near

@@ -1,9 +1,9 @@
-"""Predicted egos: along their path, first by the unattacked profile, then by their driver model.
+"""Predict egos along their path: first by the unattacked profile, then by their driver model.
 
-An ego follows its unattacked profile until it is disturbed: the adversary is its leader or in its way at a junction,
-and a safe speed falls below the profile. From then on its driver model drives (Krauss's safe speed, IDM, the careful
-driver's brake). None steers. An adversary leads once the middle of its front is in the ego's lane;
-at junctions SUMO's drivers follow ``MSLink``.
+An ego follows its unattacked profile until it is disturbed: the adversary leads it or is in its way at a junction, and
+a safe speed is below the profile. From then on, its driver model drives (Krauss's safe speed, IDM, the careful driver's
+brake). None of them steers. An adversary leads once the middle of its front is in the ego's lane. At junctions, SUMO's
+drivers follow ``MSLink``.
 """
 
 from __future__ import annotations
@@ -15,22 +15,34 @@ from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.road_users import unprotected
 from sumo_adv.simulation.sumo_rules import AtJunction, CarFollowing, Junctions, SituationBatch
 
-DISTURBED_SPEED_LOSS_M_S = 0.005  # after a step: with more, an ego no longer moves as unattacked
+DISTURBED_SPEED_LOSS_M_S = 0.005  # an ego that must be slower than unattacked by more than this is disturbed
 ACROSS_ANGLES_RAD = (0.9, 2.2)  # a vehicle at such an angle is no leader
 
 
 class PredictedEgos:
     """``n`` copies of the ego along its path, each against one adversary or more.
 
-    s: station [m]; v: speed [m/s]; a: acceleration [m/s2]; disturbed: whether it has left its unattacked profile. All
-    are ``(n,)``.
-
-    With ``each`` adversaries per ego there are ``N = each * n`` pairs: the first adversaries of all egos, then their
+    With ``each`` adversaries per ego, there are ``N = each * n`` pairs: the first adversaries of all egos, then their
     second ones. Arrays of adversaries are ``(N,)``, and the cost grows with N.
+
+    Attributes:
+        s: Station ``(n,)`` [m].
+        v: Speed ``(n,)`` [m/s].
+        a: Acceleration ``(n,)`` [m/s2].
+        disturbed: Whether the ego has left its unattacked profile ``(n,)``.
+        scenes: The situations of the egos.
+        model: The driver model of the egos.
     """
 
     def __init__(self, scenes: SituationBatch, length: Floats, width: Floats, each: int = 1) -> None:
-        """``scenes``, ``length``, ``width`` [m]: of the adversaries, ``(N,)``."""
+        """Start the egos at the trigger.
+
+        Args:
+            scenes: The situations of the adversaries ``(N,)``.
+            length: Lengths of the adversaries ``(N,)`` [m].
+            width: Widths of the adversaries ``(N,)`` [m].
+            each: Number of adversaries per ego.
+        """
         self._pairs, self._each, self._length, self._width = scenes, each, length, width
         n = len(length) // each
         self.scenes = scenes = scenes if each == 1 else SituationBatch(scenes.of[:n])
@@ -51,10 +63,14 @@ class PredictedEgos:
         self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
         at_junction: AtJunction | None = None,
     ) -> None:  # fmt: skip
-        """Advance all by a step.
+        """Advance all egos by a step.
 
-        now: time since the trigger [s]; adversary: station, offset, heading of the box centres in the frame of the
-        ego's path; speed [m/s]; each ``(N,)``. at_junction: None if the ways meet at no junction.
+        Args:
+            now: Time since the trigger [s].
+            adversary: Stations [m], offsets [m] and headings [rad] of the adversaries' box centres in the frame of the
+                ego's path, each ``(N,)``.
+            speed: Speeds of the adversaries ``(N,)`` [m/s].
+            at_junction: Where the adversaries are at junctions; None if the ways meet at no junction.
         """
         if not self.reacts:
             self.step_alone(now)
@@ -79,20 +95,24 @@ class PredictedEgos:
 
     @property
     def reacts(self) -> bool:
-        """Whether the egos' motions depend on the adversaries: they replay no log."""
+        """Whether the egos' motions depend on the adversaries; they do not if the egos replay a log."""
         return self.model.kind != "replay"
 
     def step_alone(self, now: float) -> None:
-        """Advance egos that do not react by a step; ``now``: time since the trigger [s]."""
+        """Advance egos that do not react by a step.
+
+        Args:
+            now: Time since the trigger [s].
+        """
         next_s, next_v = self.scenes.profile_now(now + self.scenes.dt)
         self.s, self.a, self.v = next_s, (next_v - self.v) / self.scenes.dt, next_v
 
     def pose(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """x, y, heading, speed, each ``(n,)``."""
+        """Return x [m], y [m], heading [rad] and speed [m/s] of the egos, each ``(n,)``."""
         return (*self.scenes.ego_at(self.s), self.v)
 
     def onwards(self, steps: int) -> Floats:
-        """x, y, heading, speed for the next ``steps`` at constant speeds, ``(4, n, steps)``."""
+        """Return x, y, heading and speed of the egos over the next ``steps`` at constant speed, ``(4, n, steps)``."""
         s = self.s[:, None] + self.v[:, None] * self.scenes.dt * np.arange(steps)
         return np.stack([*self.scenes.ego_at(s), np.broadcast_to(self.v[:, None], s.shape)])
 
@@ -100,9 +120,13 @@ class PredictedEgos:
         self, adversary: tuple[Floats, Floats, Floats], speed: Floats, front: tuple[Bools, Floats],
         at_junction: AtJunction | None,
     ) -> Floats:  # fmt: skip
-        """The highest speed [m/s] that the adversaries leave to the drivers ``(n,)``, inf without a reason to brake.
+        """Return the highest speed [m/s] that the adversaries leave to the drivers ``(n,)``; inf if nothing limits it.
 
-        front: whether the adversaries' fronts are ahead of the egos', and the fronts' offsets.
+        Args:
+            adversary: Stations, offsets and headings of the adversaries.
+            speed: Speeds of the adversaries [m/s].
+            front: Whether the adversaries' fronts are ahead of the egos', and the offsets of the fronts [m].
+            at_junction: Where the adversaries are at junctions.
         """
         own_s, own_v, own_a = (self._of_pairs(q) for q in (self.s, self.v, self.a))
         (s, _, h), (ahead, front_d) = adversary, front
@@ -120,5 +144,5 @@ class PredictedEgos:
         return bound if self._each == 1 else bound.reshape(self._each, -1).min(axis=0)
 
     def _of_pairs(self, of_egos: Floats) -> Floats:
-        """What is said of the egos ``(n,)``, said of each pair ``(N,)``."""
+        """Repeat an array of the egos ``(n,)`` for each pair ``(N,)``."""
         return of_egos if self._each == 1 else np.tile(of_egos, self._each)

@@ -1,17 +1,17 @@
-"""From a driver's name to its controller.
+"""Make a controller from a driver's name.
 
-Built-in drivers stand in ``DRIVERS``. Drivers of other packages are found by their entry point in the group
-``sumo_adv.drivers``; any other class is named ``module:Class``, or given as a class or an object.
+Built-in drivers are listed in ``DRIVERS``. Drivers of other packages are found by their entry point in the group
+``sumo_adv.drivers``. Any other class is named ``module:Class``, or given as a class or an object.
 
-A driver of a user has ``reset(seed)`` and ``act(observation)``. Its constructor gets the scenario's parameters by name.
+A user's driver has ``reset(seed)`` and ``act(observation)``. Its constructor gets the scenario's parameters by name.
 It may have these attributes and this method:
 
 - ``name``; ``forkable`` (default False); ``sumo_type`` (default IDM's); ``needs_observation`` (default True);
-- ``needs_road``, ``visible_only``, ``sees_buildings`` and the numbers of its bicycle (``protocol.py``);
-- ``model_of(numbers)``: how it is predicted (default: as an unknown driver).
+- ``needs_road``, ``visible_only``, ``sees_buildings``, ``path_ahead`` and the numbers of its bicycle (``protocol.py``);
+- ``model_of(numbers)``: returns the model that predicts it (default: an unknown driver).
 
 Drivers that are given as a class or an object (``GivenEgo``) travel to the engine's process by value. A class of a
-script or a notebook cannot be imported in another process. cloudpickle sends its code along.
+script or a notebook cannot be imported in another process, so cloudpickle sends its code along.
 """
 
 from __future__ import annotations
@@ -53,18 +53,26 @@ from sumo_adv.errors import DriverError, SimulationError, UsageError, nearest, r
 from sumo_adv.simulation.watch import OutOfTimeError
 
 T = TypeVar("T")
-MAX_ACTION_NUMBER = 1e9  # of a number in an action: SUMO takes whole numbers of 32 bits
-MAX_PLAN_POINTS = 1000  # of an answer
-MAX_NOTES = 20  # of an answer
+MAX_ACTION_NUMBER = 1e9  # largest number in an action: SUMO takes whole numbers of 32 bits
+MAX_PLAN_POINTS = 1000  # per answer
+MAX_NOTES = 20  # per answer
 MAX_NOTE_NAME_CHARACTERS = 40
-METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
+METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # every driver has these
 
 
 class UserEgo:
-    """A user's driver: each of its errors becomes one sentence that names it."""
+    """A user's driver as a controller. Each error of the user's code becomes one sentence that names the driver."""
 
     def __init__(self, spec: str, driver: Any) -> None:
-        """``spec``: what messages call the driver. Raises UsageError: its bicycle cannot be used."""
+        """Read the attributes of the user's driver.
+
+        Args:
+            spec: What messages call the driver.
+            driver: The user's driver.
+
+        Raises:
+            UsageError: The driver's bicycle cannot be used, or its ``path_ahead`` is out of range.
+        """
         self._driver, self._spec = driver, spec
         self.name = str(getattr(driver, "name", spec))
         self.forkable = bool(getattr(driver, "forkable", False))
@@ -75,11 +83,22 @@ class UserEgo:
         self.sumo_type: Mapping[str, str] = given if isinstance(given, DriverType) else dict(given)
 
     def reset(self, seed: int) -> None:
-        """Raises DriverError if the user's code fails."""
+        """Reset the user's driver.
+
+        Raises:
+            DriverError: The user's code fails.
+        """
         self._call("failed in reset", lambda: self._driver.reset(seed))
 
     def act(self, observation: Observation) -> Action:
-        """Raises DriverError if the user's code fails, or returns something other than a valid action."""
+        """Ask the user's driver for an action.
+
+        Returns:
+            The action, with plain numbers.
+
+        Raises:
+            DriverError: The user's code fails, or returns something other than a valid action.
+        """
         at = f"at {observation.time:.1f} s"
         action = self._call(f"failed in act at {observation.time:.1f} s", lambda: self._driver.act(observation))
         if action is None:
@@ -111,7 +130,12 @@ class UserEgo:
         return action
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
-        """Raises SimulationError if the user's code fails, or returns something other than a DriverModel."""
+        """Ask the user's driver for its model; see the function ``model_of``.
+
+        Raises:
+            DriverError: The user's code fails.
+            SimulationError: The user's code returns something other than a DriverModel.
+        """
         model = self._call("failed in model_of", lambda: model_of(self._driver, numbers))
         if not isinstance(model, DriverModel):
             raise SimulationError(f"The ego {self._spec!r} returned {model!r}; model_of must return a DriverModel.")
@@ -129,14 +153,14 @@ class UserEgo:
 
 
 def _number_names(action: Steer | LaneSpeed | Pose) -> tuple[str, ...]:
-    """The names of the numbers that move the ego."""
+    """Return the names of the numbers that move the ego."""
     if isinstance(action, Steer):
         return "acceleration", "steering"
     return ("lane", "speed") if isinstance(action, LaneSpeed) else ("x", "y", "heading", "speed")
 
 
 def _plan(given: Any) -> Points | None:
-    """A plan as pairs of plain numbers. Raises ValueError or TypeError for what is none."""
+    """Convert a plan to pairs of plain numbers; raise ValueError or TypeError if it is none."""
     if given is None:
         return None
     points = np.asarray(given, dtype=np.float64)
@@ -150,7 +174,7 @@ def _plan(given: Any) -> Points | None:
 
 
 def _notes(given: Any) -> dict[str, float]:
-    """Notes as plain numbers by name. Raises ValueError or TypeError for what is none."""
+    """Convert notes to plain numbers by name; raise ValueError or TypeError if they are none."""
     if not isinstance(given, Mapping) or len(given) > MAX_NOTES:
         raise ValueError(f"its notes must be a mapping of at most {MAX_NOTES} names to numbers")
     notes = {str(name)[:MAX_NOTE_NAME_CHARACTERS]: float(value) for name, value in given.items()}
@@ -160,13 +184,16 @@ def _notes(given: Any) -> dict[str, float]:
 
 
 def _plain(value: Any) -> Any:
-    """A number of numpy as one of Python."""
+    """Convert a number of numpy to one of Python."""
     return value.item() if isinstance(value, np.generic | np.ndarray) and np.ndim(value) == 0 else value
 
 
 def _place(error: BaseException) -> str:
-    """The file and line of an error in a user's code: the deepest call in the file that was called first. A base class
-    of ours, such as ``PlannerEgo``, is no code of the user."""
+    """Return the file and line of an error in the user's code.
+
+    It is the deepest call in the file that was called first. A base class of this package, such as ``PlannerEgo``, is
+    not the user's code.
+    """
     ours = f"{Path(__file__).parents[1]}{os.sep}"
     frames = [f for f in extract_tb(error.__traceback__) if not f.filename.startswith(ours)]
     if not frames:
@@ -176,12 +203,19 @@ def _place(error: BaseException) -> str:
 
 
 def find_class(kind: str, spec: str) -> type:
-    """The class ``module:Class``, found on ``sys.path`` or in the current folder. Error messages call it ``kind``.
+    """Import a user's class.
 
-    Classes of Python's standard library are refused before anything is imported. None of them is a driver, and making
-    an object of one can have effects: ``subprocess:Popen`` starts a program.
+    The module is searched on ``sys.path`` and then in the current folder. Classes of Python's standard library are
+    refused before anything is imported. None of them is a driver, and making an object of one can have effects:
+    ``subprocess:Popen`` starts a program.
 
-    Raises UsageError: another form, a class of the standard library, a module that cannot be imported, no such class.
+    Args:
+        kind: What error messages call the class.
+        spec: The class as ``module:Class``.
+
+    Raises:
+        UsageError: The name has another form, the class belongs to the standard library, its module cannot be imported,
+            or the module has no such class.
     """
     module_name, _, class_name = spec.partition(":")
     if not module_name or not class_name:
@@ -205,11 +239,16 @@ def find_class(kind: str, spec: str) -> type:
 
 
 def spec_of(user_class: type) -> str:
-    """Return the name ``module:Class`` by which other processes import a driver; a script's module is its file's name.
+    """Return the name ``module:Class`` by which other processes import a driver.
+
+    A script's module is the name of its file.
+
+    Args:
+        user_class: The driver's class.
 
     Raises:
-        UsageError: The class lacks a method that a driver needs, or other processes cannot import it because it lies
-            in a notebook or in a function.
+        UsageError: The class lacks a method that a driver needs, or other processes cannot import it because it lies in
+            a notebook or in a function.
     """
     _check_methods("ego", user_class.__name__, user_class, METHODS)
     main = sys.modules.get("__main__")
@@ -224,11 +263,18 @@ def spec_of(user_class: type) -> str:
 
 
 def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Mapping[str, str]) -> Any:
-    """An object of the class ``module:Class``; ``methods``: name -> signature, for the error message.
+    """Make an object of a user's class.
 
     The class is checked for its methods before an object is made, so that no code of an unsuitable class runs.
 
-    Raises UsageError: as ``find_class``, or the class lacks a method, or the object cannot be made.
+    Args:
+        kind: What error messages call the class.
+        spec: The class as ``module:Class``.
+        parameters: Arguments of its constructor.
+        methods: The signatures of the methods that it must have, by name.
+
+    Raises:
+        UsageError: The class cannot be found (see ``find_class``), lacks a method, or the object cannot be made.
     """
     user_class = find_class(kind, spec)
     _check_methods(kind, spec, user_class, methods)
@@ -240,12 +286,14 @@ def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Ma
 
 COMMAND_LINE_READERS = ("absl", "argparse", "click", "docopt", "fire", "getopt", "optparse", "typer")
 """Packages that read the command line of the process, and end it."""
-MAX_MODULE_OUTPUT_CHARACTERS = 200  # of what a module wrote, in a sentence
+MAX_MODULE_OUTPUT_CHARACTERS = 200  # quoted from the output of a module in a message
 
 
 class _Words:
-    """Stands for ``sys.stdout`` and ``sys.stderr`` while a module is imported: keeps what is written. ``pass_on`` gives
-    it to ``to``, and from then on all that comes."""
+    """Replaces ``sys.stdout`` and ``sys.stderr`` while a module is imported, and keeps what is written.
+
+    ``pass_on`` writes the kept text to ``to``; from then on, all text goes there.
+    """
 
     def __init__(self, to: Any) -> None:
         self._to, self._kept, self._passes = to, "", False
@@ -271,9 +319,10 @@ class _Words:
 
 
 def _import(kind: str, spec: str, module_name: str, here: str) -> ModuleType:
-    """The user's module. What it prints goes to stderr, because stdout may be one JSON object.
+    """Import the user's module. Its output goes to stderr, because stdout may be one JSON object.
 
-    Raises UsageError: its code fails, ends the process or reads its command line; the sentence has its last line.
+    Raises:
+        UsageError: Its code fails, ends the process or reads its command line; the message has its last line of output.
     """
     words = _Words(sys.stderr)
     try:
@@ -300,20 +349,20 @@ def _import(kind: str, spec: str, module_name: str, here: str) -> ModuleType:
 
 
 def _check_methods(kind: str, spec: str, thing: Any, methods: Mapping[str, str]) -> None:
-    """Raises UsageError if a class or an object lacks one of ``methods`` (name -> signature)."""
+    """Raise UsageError if a class or an object lacks one of ``methods`` (name -> signature)."""
     for name in methods:
         if not callable(getattr(thing, name, None)):
             raise UsageError(f"The {kind} {spec!r} has no method {name!r}; it needs {' and '.join(methods.values())}.")
 
 
 def in_one_line(error: BaseException) -> str:
-    """Exception type and message on one line, without a full stop at the end."""
+    """Return the type and message of an exception on one line, without a full stop at the end."""
     message = " ".join(str(error).split()).rstrip(".")
     return f"{type(error).__name__}: {message}" if message else type(error).__name__
 
 
 def _in_standard_library(module_name: str) -> bool:
-    """Whether the module belongs to Python's standard library; a script that runs as ``__main__`` does not."""
+    """Return whether the module belongs to Python's standard library; a script that runs as ``__main__`` does not."""
     top = module_name.partition(".")[0]
     return top != "__main__" and (top in sys.stdlib_module_names or top in sys.builtin_module_names)
 
@@ -322,12 +371,18 @@ def _not_yours(kind: str, spec: str) -> UsageError:
     return UsageError(f"The {kind} {spec!r} is a class of Python's standard library: name a class of your own.")
 
 
-OBJECT_PREFIX = "object:"  # of the names of such drivers; no module can be called so, because a colon follows
+OBJECT_PREFIX = "object:"  # begins the names of given drivers; no ``module:Class`` begins so
 
 
 @dataclass(frozen=True, slots=True)
 class GivenEgo:
-    """A driver as bytes. name: ``object:`` and its class; made: it is an object, else a class to make one of."""
+    """A driver as bytes.
+
+    Attributes:
+        name: ``object:`` and the name of the class.
+        made: Whether it is an object. Otherwise, it is a class, and the object is still to be made.
+        content: The bytes.
+    """
 
     name: str
     made: bool
@@ -335,9 +390,13 @@ class GivenEgo:
 
 
 def pack_driver(ego: Any) -> GivenEgo:
-    """A class or an object as bytes.
+    """Convert a class or an object to bytes.
 
-    Raises UsageError: it lacks a method that a driver needs, or cannot be turned into bytes.
+    Args:
+        ego: The user's class or object.
+
+    Raises:
+        UsageError: It lacks a method that a driver needs, or cannot be converted to bytes.
     """
     import cloudpickle
 
@@ -354,9 +413,14 @@ def pack_driver(ego: Any) -> GivenEgo:
 
 
 def unpack_driver(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
-    """The driver; ``parameters`` are those of its constructor, if it is still to be made.
+    """Convert bytes back to a driver.
 
-    Raises UsageError: it cannot be made.
+    Args:
+        given: The driver as bytes.
+        parameters: Arguments of the constructor, if the object is still to be made.
+
+    Raises:
+        UsageError: The driver cannot be made.
     """
     import cloudpickle
 
@@ -368,7 +432,12 @@ def unpack_driver(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
 
 
 def lost(name: str, path: str) -> UsageError:
-    """That a driver was given as an object, and ``path`` does not hold it."""
+    """Return the error that a driver was given as an object, which ``path`` does not contain.
+
+    Args:
+        name: The name of the driver.
+        path: What does not contain it.
+    """
     return UsageError(
         f"{path} was driven by an object from Python, {name.removeprefix(OBJECT_PREFIX)!r}, which no file holds: "
         "give it again with sumo_adv.run(ego=...)."
@@ -379,7 +448,7 @@ ENTRY_POINTS = "sumo_adv.drivers"
 
 
 def _fiss_plus(parameters: Mapping[str, Any]) -> EgoController:
-    """FISS+. Its package is an extra and is imported only for this driver."""
+    """Make FISS+. Its package is an extra and is imported only for this driver."""
     try:
         from sumo_adv.drivers.fiss_plus import FissPlusEgo
     except ImportError as error:
@@ -400,14 +469,20 @@ DRIVERS: Mapping[str, Callable[[Mapping[str, Any]], EgoController]] = {
     "lattice": LatticeEgo,
     "replay": ReplayEgo,
 }
-"""Name -> what makes the driver from its parameters."""
+"""Built-in drivers by name; each value makes the driver from its parameters."""
 
 
 def make_ego(name: str, parameters: Mapping[str, Any], given: GivenEgo | None = None) -> EgoController:
-    """The controller called ``name``: a key of ``DRIVERS``, an entry point's name, ``module:Class``, or the name of the
-    driver that is ``given``.
+    """Make a controller.
 
-    Raises UsageError for an unknown name, an unknown parameter, or a class that cannot be used.
+    Args:
+        name: A key of ``DRIVERS``, the name of an entry point, ``module:Class``, or the name of the driver in
+            ``given``.
+        parameters: The driver's parameters.
+        given: The driver as bytes, if it was given as a class or an object.
+
+    Raises:
+        UsageError: The name or a parameter is unknown, or the class cannot be used.
     """
     if given is not None:
         return UserEgo(given.name, unpack_driver(given, parameters))
@@ -425,22 +500,35 @@ def make_ego(name: str, parameters: Mapping[str, Any], given: GivenEgo | None = 
 
 
 def check_name(name: str) -> None:
-    """Raises UsageError if no driver has that name. A ``module:Class`` is not imported."""
+    """Check that a driver has this name. A ``module:Class`` is not imported.
+
+    Raises:
+        UsageError: No driver has that name.
+    """
     names = (*DRIVERS, *_installed())
     if ":" not in name and name not in names:
         raise UsageError(f"There is no ego {name!r}{nearest(name, names)}; choose {', '.join(names)} or module:Class.")
 
 
 def is_foreign(name: str) -> bool:
-    """Whether the driver ``name`` is a class of another package, which runs with the user's rights."""
+    """Return whether the driver is a class of another package, which runs with the user's rights."""
     return ":" in name or (name not in DRIVERS and name in _installed())
 
 
 def trusted_driver(named: str | None, recorded: str | None, path: Path) -> str | None:
-    """The driver ``named`` by the user, else the driver that the file or folder ``path`` records; None if neither
-    names one.
+    """Choose the driver of a run that a file or folder records.
 
-    Raises UsageError: only ``path`` names the driver, and it is a class of another package or was given as an object.
+    Args:
+        named: The driver that the user named, if any.
+        recorded: The driver that ``path`` records, if any.
+        path: The file or folder.
+
+    Returns:
+        The named driver or, without one, the recorded driver; None if there is neither.
+
+    Raises:
+        UsageError: Only ``path`` names the driver, and the driver is a class of another package or was given as an
+            object.
     """
     if named is None and recorded is not None and recorded.startswith(OBJECT_PREFIX):
         raise lost(recorded, f"The run in {path}")
@@ -453,7 +541,7 @@ def trusted_driver(named: str | None, recorded: str | None, path: Path) -> str |
 
 
 def _installed() -> dict[str, str]:
-    """Drivers of other packages: name -> ``module:Class``."""
+    """Return the drivers of other packages: name -> ``module:Class``."""
     return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)}
 
 
@@ -466,8 +554,8 @@ class ExternalEgo:
     sumo_type: Mapping[str, str] = {}
 
     def reset(self, seed: int) -> None:
-        """Nothing to forget: the client holds the state."""
+        """Do nothing: the client holds the state."""
 
     def act(self, observation: Observation) -> Action:
-        """Never called."""
+        """Return None; this method is never called."""
         return None

@@ -1,6 +1,6 @@
-"""What a driver sees with sensors that err, and how late its answers take effect: wrappers of any driver.
+"""Sensors that err and answers that come late: wrappers of any driver.
 
-The noise of a vehicle at a time is a function of the seeds, the vehicle's id and the time alone. So it is the same in
+The noise of a vehicle at a time depends only on the seeds, the vehicle's id and the time. It is therefore the same in
 forks, in repeated runs and for two versions of a driver, whatever other vehicles there are.
 """
 
@@ -21,7 +21,7 @@ from sumo_adv.drivers.wrapped import WrappedEgo
 from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.geometry import wrap
 
-WHOLE_STEP = 1e-6  # of a step: a time this near to whole steps is whole steps
+WHOLE_STEP = 1e-6  # -, share of a step: a time this near to whole steps counts as whole steps
 
 
 class SensedEgo(WrappedEgo):
@@ -41,7 +41,7 @@ class SensedEgo(WrappedEgo):
         return super().act(replace(observation, others=self._seen(observation)))
 
     def _seen(self, observation: Observation) -> tuple[VehicleState, ...]:
-        """The vehicles as the sensors report them."""
+        """Return the vehicles as the sensors report them."""
         time, others = self._delayed(observation)
         reported = (self._reported(time, other) for other in others)
         ego, reach = observation.ego, self._sensing.range
@@ -51,7 +51,7 @@ class SensedEgo(WrappedEgo):
         )  # fmt: skip
 
     def _delayed(self, observation: Observation) -> tuple[float, Sequence[VehicleState]]:
-        """The vehicles of ``delay`` seconds ago, and when that was [s]; none before there are any."""
+        """Return the time ``delay`` seconds ago [s], and the vehicles then; none if that is before the first step."""
         late = self._sensing.delay
         if not late:
             return observation.time, observation.others
@@ -66,7 +66,7 @@ class SensedEgo(WrappedEgo):
         return time, [_as_it_was(other, now.get(other.id)) for other in others]
 
     def _reported(self, time: float, other: VehicleState) -> VehicleState | None:
-        """A vehicle with the sensors' errors; None if they miss it."""
+        """Return a vehicle with the sensors' errors; None if they miss it."""
         sensing = self._sensing
         if not (sensing.position_noise or sensing.speed_noise or sensing.missed):
             return other
@@ -82,7 +82,11 @@ class SensedEgo(WrappedEgo):
 
 
 def _as_it_was(then: VehicleState, now: VehicleState | None) -> VehicleState:
-    """A vehicle where it was. What a ``Vehicle`` tells beside its motion can be read of the present one alone."""
+    """Return a vehicle as it was.
+
+    A ``Vehicle`` tells more than its motion. These attributes exist only for the present one, so they are taken from
+    it.
+    """
     if not isinstance(then, Vehicle):
         return then
     return replace(then, senses=now.senses if isinstance(now, Vehicle) else None)
@@ -90,7 +94,13 @@ def _as_it_was(then: VehicleState, now: VehicleState | None) -> VehicleState:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """An answer, what the ego was when it was asked for, and from when on it takes effect [s]."""
+    """An answer of the driver.
+
+    Attributes:
+        action: The action.
+        asked: The ego's state when the driver was asked.
+        due: When the action takes effect [s].
+    """
 
     action: Action
     asked: VehicleState
@@ -100,14 +110,20 @@ class _Answer:
 class LateEgo(WrappedEgo):
     """A driver whose answers take effect later. Until its first answer does, SUMO drives.
 
-    A ``Pose`` is taken as the change of speed and heading that it asks for, as the controls of the car are late.
+    A ``Pose`` counts as the change of speed and heading that it asks for, because the controls of the car are late.
     """
 
     def __init__(self, driver: TimedEgo, latency: float | None) -> None:
-        """``latency``: s; None: what the driver's answer took. While a driver is busy it is not asked again."""
+        """Wrap a driver.
+
+        Args:
+            driver: The driver, with its answers timed.
+            latency: How late its answers take effect [s]; None = as long as the driver's answer took. In that case, the
+                driver is not asked again while it is busy.
+        """
         super().__init__(driver)
         self._timed, self._latency = driver, latency
-        self._took: dict[int, float] = {}  # by time [ms], what an answer took: the same if the run is repeated
+        self._took: dict[int, float] = {}  # how long an answer took, by time [ms]: the same if the run is repeated
         self._waiting: deque[_Answer] = deque()
         self._holds: _Answer | None = None
 
@@ -126,7 +142,7 @@ class LateEgo(WrappedEgo):
         return None if self._holds is None else _from(self._holds, observation)
 
     def _late(self, time: float, dt: float) -> float:
-        """By how much the answer of this time is late [s]: whole steps."""
+        """Return by how much the answer of this time is late [s]: whole steps."""
         took = self._latency
         if took is None:
             took = self._took.setdefault(round(1000.0 * time), self._timed.last)
@@ -134,7 +150,7 @@ class LateEgo(WrappedEgo):
 
 
 def _from(answer: _Answer, observation: Observation) -> Action:
-    """An answer as it takes effect now."""
+    """Return an answer as it takes effect now."""
     action, then, now = answer.action, answer.asked, observation.ego
     if action is None or isinstance(action, Steer | LaneSpeed) or then is now:
         return action

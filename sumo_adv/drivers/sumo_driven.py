@@ -26,7 +26,7 @@ class FollowingParameters:
     tau: float = 1.0  # s, time headway
     accel: float = 2.6  # m/s2
     decel: float = 4.5  # m/s2, comfortable braking
-    emergencyDecel: float = 9.0  # m/s2, the most it can brake
+    emergencyDecel: float = 9.0  # m/s2, maximum braking
     minGap: float = 2.5  # m, at standstill
     speedFactor: float = 1.0  # -, times the speed limit
     speedDev: float = 0.0  # -, spread of the speed factor
@@ -49,7 +49,7 @@ class Idm(FollowingParameters):
 
 @dataclass(frozen=True, slots=True)
 class Eidm(Idm):
-    """Parameters of SUMO's EIDM, which has those of IDM and more; its driver errors are off."""
+    """Parameters of SUMO's EIDM: those of IDM, and more. Its driver errors are off."""
 
     tpreview: float = 4.0  # s, look-ahead
     treaction: float = 0.5  # s, reaction time
@@ -63,13 +63,17 @@ FOLLOWING_MODELS: Mapping[str, tuple[str, type[FollowingParameters]]] = {
     "idm": ("IDM", Idm),
     "eidm": ("EIDM", Eidm),
 }
-"""Our name: SUMO's name for ``carFollowModel``, and the parameters with their defaults."""
+"""For each of our names: SUMO's ``carFollowModel``, and the parameters with their defaults."""
 
 POSITIVE = frozenset({"tau", "accel", "decel", "emergencyDecel", "speedFactor", "delta", "stepping", "tpreview"})
 
 
 class DriverType(dict[str, str]):
-    """vType attributes of a driver. defaults: those that nobody asked for, which a vehicle's own type goes before."""
+    """vType attributes of a driver.
+
+    Attributes:
+        defaults: Names of the attributes that the user did not set. A vehicle's own type overrides them.
+    """
 
     def __init__(self, attributes: Mapping[str, str], defaults: Collection[str] = ()) -> None:
         super().__init__(attributes)
@@ -77,9 +81,17 @@ class DriverType(dict[str, str]):
 
 
 def sumo_type(model: str, parameters: Mapping[str, Any]) -> DriverType:
-    """vType attributes of ``model`` with ``parameters`` laid over its defaults.
+    """Write the vType attributes of a model.
 
-    Raises UsageError for an unknown parameter, or a value that is no number or out of range.
+    Args:
+        model: A key of ``FOLLOWING_MODELS``.
+        parameters: Replace the model's defaults.
+
+    Returns:
+        The attributes.
+
+    Raises:
+        UsageError: A parameter is unknown, or a value is no number or out of range.
     """
     sumo_name, settings = FOLLOWING_MODELS[model]
     values = {f.name: f.default for f in fields(settings)}
@@ -92,7 +104,10 @@ def sumo_type(model: str, parameters: Mapping[str, Any]) -> DriverType:
 
 
 def defaults_of(attributes: Mapping[str, str]) -> frozenset[str]:
-    """The attributes of a driver's vType that nobody asked for; none of those that a user's own driver has."""
+    """Return the attributes of a driver's vType that the user did not set.
+
+    A user's own driver has none: all of its attributes count as set.
+    """
     return attributes.defaults if isinstance(attributes, DriverType) else frozenset()
 
 
@@ -106,7 +121,12 @@ def _number(model: str, name: str, value: Any) -> float:
 
 
 def known_model(kind: str, numbers: DriverModel) -> DriverModel:
-    """The model of a known driver that follows SUMO's lane rules, with the car-following numbers given."""
+    """Return the model of a known driver that follows SUMO's lane rules.
+
+    Args:
+        kind: The driver.
+        numbers: Its car-following numbers.
+    """
     return replace(numbers, kind=kind, known=True)
 
 
@@ -117,50 +137,70 @@ class SumoEgo:
     needs_observation = False
 
     def __init__(self, model: str, parameters: Mapping[str, Any]) -> None:
-        """``model``: a key of ``FOLLOWING_MODELS``. Raises UsageError as ``sumo_type`` does."""
+        """Read the parameters.
+
+        Args:
+            model: A key of ``FOLLOWING_MODELS``.
+            parameters: Replace the model's defaults.
+
+        Raises:
+            UsageError: A parameter is unknown, or a value is no number or out of range.
+        """
         self.name = model
         self.sumo_type: Mapping[str, str] = sumo_type(model, parameters)
 
     def reset(self, seed: int) -> None:
-        """Nothing to forget: SUMO's seed is the simulation's."""
+        """Do nothing: SUMO's seed is that of the simulation."""
 
     def act(self, observation: Observation) -> Action:
-        """Never called."""
+        """Return None; this method is never called."""
         return None
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
-        """Predicted by ``CarFollowing``; EIDM as IDM."""
+        """Return the model of ``CarFollowing``; EIDM is predicted as IDM."""
         return known_model(self.name, numbers)
 
 
 class ReplayEgo:
-    """Plays back a track. Without a track, as in the unattacked run itself, SUMO's IDM drives with ``parameters``."""
+    """Plays back a track. Without a track, as in the unattacked run, SUMO's IDM drives with ``parameters``."""
 
     name = "replay"
     forkable = True
     needs_observation = True
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
-        """Raises UsageError for a parameter that IDM does not know."""
+        """Read the parameters of IDM.
+
+        Raises:
+            UsageError: IDM does not know a parameter, or a value is no number or out of range.
+        """
         self.sumo_type: Mapping[str, str] = sumo_type("idm", parameters or {})
         self._track: Track | None = None
         self._heading: Floats = np.empty(0)
 
     def load(self, track: Track) -> None:
-        """Play ``track`` from now on. Raises UsageError if it is empty."""
+        """Play a track from now on.
+
+        Raises:
+            UsageError: The track is empty.
+        """
         if track.time.size == 0:
             raise UsageError("The ego 'replay' was given an empty track; run the scenario unattacked first.")
         self._track, self._heading = track, np.unwrap(track.heading)
 
     def reset(self, seed: int) -> None:
-        """A loaded track is kept."""
+        """Do nothing: a loaded track is kept."""
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
-        """Predicted by its unattacked motion."""
+        """Return the model that repeats the unattacked motion."""
         return known_model(self.name, numbers)
 
     def act(self, observation: Observation) -> Action:
-        """The pose at ``time + dt``, linear between samples, held before the first and after the last."""
+        """Return the pose at ``time + dt``.
+
+        The track is linear between samples. It holds its first pose before it begins, and its last pose with speed 0
+        after it ends.
+        """
         track = self._track
         if track is None:
             return None

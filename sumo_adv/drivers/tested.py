@@ -1,4 +1,4 @@
-"""The driver under test as a run has it: timed, with the sensors and the latency of the settings."""
+"""The driver under test, as a run uses it: timed, with the sensors and the latency of the settings."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def with_sensors(driver: EgoController, settings: Settings) -> tuple[EgoControll
         settings: The run's settings.
 
     Returns:
-        The driver, and the part of it that times its answers; None if the driver gives none, because SUMO or a log
-        drives.
+        The wrapped driver, and the part of it that times its answers; None if the driver gives none, because SUMO or a
+        log drives.
 
     Raises:
         UsageError: The settings give sensors or a latency to a driver that gives no answers.
@@ -47,6 +47,6 @@ def make_tested_ego(
     """Make the driver under test; see ``make_ego`` and ``with_sensors``.
 
     Raises:
-        UsageError: There is no such driver, or it cannot have what the settings give it.
+        UsageError: There is no such driver, or it cannot have the settings' sensors or latency.
     """
     return with_sensors(make_ego(name, parameters, given), settings)

@@ -1,6 +1,6 @@
-"""The wall time that a driver's own code takes: measured at each answer, and added up over forks and runs.
+"""Measure the wall time of a driver's own code, at each answer, and sum it over forks and runs.
 
-A driver's ``act`` reads attributes of its observation, which the engine works out only then. That is the engine's time:
+A driver's ``act`` reads attributes of its observation, which the engine computes only then. That time is the engine's:
 ``engine_work`` marks it, and it does not count.
 """
 
@@ -19,7 +19,7 @@ from sumo_adv.drivers.wrapped import WrappedEgo
 
 P = ParamSpec("P")
 T = TypeVar("T")
-BINS_PER_DOUBLING = 8  # of the time for an answer: bins are 9 % wide
+BINS_PER_DOUBLING = 8  # bins of the time for an answer; each is 9 % wide
 FIRST_EDGE_MS = 0.01  # upper edge of bin 0
 
 
@@ -28,10 +28,10 @@ class DriverTime:
     """How long a driver's answers took.
 
     Attributes:
-        calls: How many answers it gave.
-        seconds: Wall time of all of them [s].
-        bins: How many answers took at most the upper edge of a bin, ``FIRST_EDGE_MS * 2 ** (k / BINS_PER_DOUBLING)``
-            [ms], and more than that of the bin before.
+        calls: Number of answers.
+        seconds: Wall time of all answers [s].
+        bins: Number of answers in each bin k, with the upper edge ``FIRST_EDGE_MS * 2 ** (k / BINS_PER_DOUBLING)``
+            [ms]. An answer is in the first bin whose upper edge it does not exceed.
     """
 
     calls: int = 0
@@ -44,7 +44,14 @@ class DriverTime:
         return 1e3 * self.seconds / self.calls if self.calls else 0.0
 
     def within_ms(self, share: float) -> float:
-        """The time within which a share of the answers came [ms]: the upper edge of a bin; 0 without answers."""
+        """Return the time within which a share of the answers came: the upper edge of a bin; 0 without answers.
+
+        Args:
+            share: The share, in [0, 1].
+
+        Returns:
+            The time [ms].
+        """
         needed, counted = share * self.calls, 0
         for k in sorted(self.bins):
             counted += self.bins[k]
@@ -53,14 +60,14 @@ class DriverTime:
         return 0.0
 
     def as_data(self) -> dict[str, Any]:
-        """The block ``driver_time`` of ``outcome.json``."""
+        """Return the block ``driver_time`` of ``outcome.json``."""
         return {
             "calls": self.calls, "seconds": round(self.seconds, 4), "mean_ms": round(self.mean_ms, 3),
             "p99_ms": round(self.within_ms(0.99), 3), "bins": {str(k): self.bins[k] for k in sorted(self.bins)},
         }  # fmt: skip
 
     def words(self, of: float) -> str:
-        """A sentence for people.
+        """Return a sentence for people.
 
         Args:
             of: Wall time of the whole [s]. Two forks may run at once, so the driver's time may be longer.
@@ -81,10 +88,15 @@ def total_time(times: Iterable[DriverTime]) -> DriverTime:
 
 
 def read_driver_time(written: Mapping[str, Any] | None) -> DriverTime | None:
-    """The block ``driver_time`` of an ``outcome.json``; None if the file has none.
+    """Read the block ``driver_time`` of an ``outcome.json``.
+
+    Args:
+        written: The block, or None if the file has none.
 
     Raises:
-        KeyError, TypeError, ValueError: It is not as this program writes it.
+        KeyError: The block is not as this program writes it.
+        TypeError: The block is not as this program writes it.
+        ValueError: The block is not as this program writes it.
     """
     if written is None:
         return None
@@ -97,17 +109,17 @@ def _ms(milliseconds: float) -> str:
 
 
 def bin_of(seconds: float) -> int:
-    """The bin of an answer that took this time."""
+    """Return the bin of an answer that took ``seconds`` [s]."""
     edges = seconds * 1e3 / FIRST_EDGE_MS
     return 0 if edges <= 1.0 else math.ceil(BINS_PER_DOUBLING * math.log2(edges))
 
 
-_engine_seconds = [0.0]  # that this process has spent on observations while a driver read them
+_engine_seconds = [0.0]  # time that this process has spent on observations while a driver read them
 _at_work = [False]
 
 
 def engine_work(function: Callable[P, T]) -> Callable[P, T]:
-    """Mark a function that works out a part of an observation: its time is the engine's."""
+    """Mark a function that computes a part of an observation: its time is the engine's."""
 
     @wraps(function)
     def timed(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -127,7 +139,7 @@ class Stopwatch:
     """Measures the driver's own code in the ``with`` block.
 
     Attributes:
-        seconds: What it took [s], once the block has ended.
+        seconds: Its time [s], once the block has ended.
     """
 
     def __enter__(self) -> Stopwatch:
@@ -142,8 +154,8 @@ class TimedEgo(WrappedEgo):
     """A driver whose answers are timed.
 
     Attributes:
-        time: What its answers took so far.
-        last: What the last answer took [s].
+        time: How long its answers took so far.
+        last: How long the last answer took [s].
     """
 
     def __init__(self, driver: EgoController) -> None:
@@ -160,7 +172,7 @@ class TimedEgo(WrappedEgo):
         self._calls, self._seconds, self._bins = 0, 0.0, Counter()
 
     def add(self, time: DriverTime) -> None:
-        """Add what answers in a fork took."""
+        """Add the time of answers in a fork."""
         self._calls, self._seconds = self._calls + time.calls, self._seconds + time.seconds
         self._bins.update(time.bins)
 

@@ -1,4 +1,4 @@
-"""A driver that stands before another one: what the engine asks of the other is asked of it."""
+"""A driver that wraps another driver and passes on everything that the engine asks of it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from sumo_adv.drivers.protocol import Action, EgoController, Observation, model_
 
 
 class WrappedEgo:
-    """Passes everything on to ``driver``. Subclasses change ``act``, and what it sees.
+    """Passes everything on to a driver. Subclasses change ``act``, and what the driver sees.
 
     Attributes:
-        reference: The reference driver that the driver is, if it is one.
+        reference: The reference driver that the wrapped driver is, if it is one.
     """
 
     def __init__(self, driver: EgoController) -> None:
