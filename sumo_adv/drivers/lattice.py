@@ -44,7 +44,7 @@ class LatticeSettings:
 
     @property
     def times(self) -> Floats:
-        """The compared times [s] from now, ``(time,)``."""
+        """The compared times from now ``(time,)`` [s]."""
         return COMPARED_STEP_S * np.arange(round(self.horizon / COMPARED_STEP_S) + 1.0)
 
 

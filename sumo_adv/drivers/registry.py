@@ -371,7 +371,7 @@ def _not_yours(kind: str, spec: str) -> UsageError:
     return UsageError(f"The {kind} {spec!r} is a class of Python's standard library: name a class of your own.")
 
 
-OBJECT_PREFIX = "object:"  # begins the names of given drivers; no ``module:Class`` begins so
+OBJECT_PREFIX = "object:"  # begins the names of given drivers; a user's module cannot be called ``object``
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,7 +79,7 @@ class DriverTime:
 
 
 def total_time(times: Iterable[DriverTime]) -> DriverTime:
-    """Return the sum of all ``times``."""
+    """Return the sum of several driver times."""
     calls, seconds, bins = 0, 0.0, Counter[int]()
     for each in times:
         calls, seconds = calls + each.calls, seconds + each.seconds

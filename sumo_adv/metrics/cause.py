@@ -80,7 +80,7 @@ class CauseKind(StrEnum):
 
 
 class Action(StrEnum):
-    """What the ego did first."""
+    """The ego's first reaction."""
 
     BRAKED = "braked"
     STEERED = "steered"

@@ -20,7 +20,7 @@ STOPPED_SPEED_M_S = 0.05  # nuPlan's threshold for a stopped vehicle
 SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles or lanes go the same way
 OPPOSITE_DIRECTION = 3 * np.pi / 4  # rad, heading difference from which they go opposite ways
 BEHIND_ANGLE_RAD = np.deg2rad(150.0)  # nuPlan's angle from the rear axle beyond which an agent is behind
-BUMPER_DEPTH_M = 0.02  # of the front edge, narrower by this at both ends: a touch of a corner alone is lateral
+BUMPER_DEPTH_M = 0.02  # ahead of the front edge; both ends are drawn in by this, so that a corner's touch is lateral
 REAR_AXLE_SHARE = 0.3  # -, distance of the rear axle behind the box centre, as a share of the length
 
 
