@@ -1,4 +1,4 @@
-"""Finding the encounters of a run one after another, and keeping their records while the run goes on."""
+"""Find the encounters of a run one after another, and keep their records during the run."""
 
 from __future__ import annotations
 
@@ -23,22 +23,26 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.inputs import RunInput
 
-MAX_PASSED_OVER = 6  # encounters that are passed over because no candidate is predicted to collide
+MAX_PASSED_OVER = 6  # maximum number of encounters that are passed over because no candidate is predicted to collide
 OUT_OF_REACH = "no intent reaches the ego, by prediction"
 Tell = Callable[[str, Any], None]
-"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("attempt", Attempt)."""
+"""Is called with the name of an event and its data, to show progress.
+
+The events are ``("encounter", FoundEncounter)``, ``("intents", ...)`` with the intents, and ``("attempt", Attempt)``.
+"""
 
 
 class EncounterFinder:
-    """Finds the encounters of a run one after another, and keeps their records while the run goes on.
+    """Finds the encounters of a run one after another, and keeps their records during the run.
 
     Attributes:
-        records: The records so far; the last one is that of the encounter at hand.
-        stop: Why there is no further encounter; None while there may be one.
-        forked: Whether attempts are forks of the simulation; known once the first encounter was looked for.
+        records: The records so far. The last one is that of the current encounter.
+        stop: Why the run ended outside an encounter; None if it did not.
+        forked: Whether attempts are forks of the simulation; False before the first call of ``seek``.
         stopped: How many calls of each planner ran into a limit in predictions, by the planner's hash.
         ends_at: When the run should end, as ``time.perf_counter()`` [s].
-        clock: How long the parts took that belong to no record: what came before, the start, and the search.
+        clock: The time of the parts that belong to no record: the work before the finder was created, the start, the
+            search for encounters, and the runs without an attack.
     """
 
     def __init__(
@@ -51,7 +55,17 @@ class EncounterFinder:
         clock: PartsClock | None = None,
         ends_at: float = math.inf,
     ) -> None:
-        """Find encounters of a task until ``ends_at``; nothing is simulated yet."""
+        """Prepare to find encounters; nothing is simulated yet.
+
+        Args:
+            run_input: The input.
+            settings: The run's settings.
+            task: What is simulated.
+            engine: The engine process.
+            tell: Called with each encounter.
+            clock: The time that was spent on the run before; None if there is none.
+            ends_at: When the run should end, as ``time.perf_counter()`` [s].
+        """
         self.ends_at = ends_at
         self._run_input, self._settings, self._task = run_input, settings, task
         self._engine, self._tell, self._began = engine, tell, time.perf_counter()
@@ -64,7 +78,7 @@ class EncounterFinder:
         self.stopped: Mapping[str, int] = {}
 
     def seek(self) -> EncounterRecord | None:
-        """Start the simulation, if it has not started, and go on to the next encounter.
+        """Find the next encounter. The first call also starts the simulation.
 
         Returns:
             The record of the encounter; None if there is none (``stop`` says why).
@@ -91,7 +105,11 @@ class EncounterFinder:
         return record
 
     def driver_time(self) -> DriverTime | None:
-        """Return how long the driver's answers took so far; None if that is not known."""
+        """Return how long the driver's answers took so far.
+
+        Returns:
+            The time; None if SUMO drives the ego, or if the engine has not started, is lost or cannot answer now.
+        """
         engine = self._engine
         if not self._started or engine.lost or engine.asked or engine.talks:
             return None
@@ -103,13 +121,16 @@ class EncounterFinder:
     def find_attackable(
         self, sandbox: Sandbox, bank: MemoryBank, agents: Agents | None = None, *, any_candidate: bool = False
     ) -> PreparedEncounter | None:
-        """Go on to the first encounter in which some candidate is predicted to collide.
+        """Find the next encounter in which a candidate is predicted to reach the ego.
+
+        Encounters without such a candidate are passed over. The encounter is returned even without such a candidate if
+        it is the last one of a recording, if the trigger is given, or if ``MAX_PASSED_OVER`` encounters came before it.
 
         Args:
-            sandbox: Where planners run.
+            sandbox: Runs the planners.
             bank: The memory bank.
-            agents: Who plays along; None if nobody does.
-            any_candidate: True if an encounter with any candidate is enough, because attempts will be varied until one
+            agents: The analyzer, generator and modifier; None if there are none.
+            any_candidate: Whether an encounter with any candidate is enough, because attempts will be varied until one
                 collides.
 
         Returns:
@@ -133,12 +154,21 @@ class EncounterFinder:
         return None
 
     def keep(self, record: EncounterRecord) -> None:
-        """Replace the record of the encounter at hand by a later one."""
+        """Replace the record of the current encounter.
+
+        Args:
+            record: The new record.
+        """
         self.records[-1] = record
 
     def leave(self, why: str) -> None:
-        """Leave the encounter at hand, so that ``seek`` goes on to the next one. Only the best record so far keeps its
-        recorded states, which are large."""
+        """Leave the current encounter, so that ``seek`` looks for the next one.
+
+        Only the best record so far keeps its recorded states, which are large.
+
+        Args:
+            why: Why the encounter is left.
+        """
         record = replace(self.records[-1], left=why)
         if not record.attacked:
             record = replace(record, ending=Ending.NO_ENCOUNTER, reason=record.reason or why)
@@ -147,18 +177,24 @@ class EncounterFinder:
         self.records = [r if r is best else r.without_states() for r in self.records]
 
     def break_off(self, stop: Stop) -> None:
-        """Note what broke the run off, also in the record of the encounter at hand."""
+        """Note why the run ended early. A current encounter that was not left gets the same ending.
+
+        Args:
+            stop: The ending and its reason.
+        """
         self.stop = stop
         if self.records and not self.records[-1].left:
             self.keep(replace(self.records[-1], ending=stop.ending, reason=stop.reason))
 
     def run(self, agents: Agents | None = None, *, isolation: str = "", bank_hash: str = "") -> Run:
-        """Return the run with the records so far, SUMO's warnings, and the time since the finder was made.
+        """Return the run with the records so far, SUMO's warnings and the time of each part.
+
+        The total time includes the time of ``clock`` from before the finder was created.
 
         Args:
-            agents: Who analyzed, generated and modified; None if no part was played.
-            isolation: How planners were kept apart from this machine; empty if none ran.
-            bank_hash: Hash of the bank's content before the run.
+            agents: The analyzer, generator and modifier; None if the run had none.
+            isolation: How planners were isolated from this machine; empty if none ran.
+            bank_hash: The hash of the bank's content before the run; empty if the run had no bank.
         """
         spent = seconds_by_part(self.clock.seconds, *(record.timing for record in self.records))
         total = self._before + time.perf_counter() - self._began

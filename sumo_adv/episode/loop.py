@@ -1,6 +1,7 @@
-"""One run from its input to its records: the paper's full online loop.
+"""Run an episode from its input to its records: the paper's full online loop.
 
-encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attempts (engine) -> record -> memory
+A run goes through these steps: encounter -> intent (analyzer) -> planner -> attempts (engine) -> record -> memory. The
+planner comes from the memory bank or, if the bank has none, from the generator.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.warnings_log import about, with_names
 
-MAX_ANALYSED_ENCOUNTERS = 4  # encounters that a model is asked about, where those before cannot play what was asked for
+MAX_ANALYSED_ENCOUNTERS = 4  # maximum number of encounters that are analyzed while none can play the request
 
 
 def run_episode(
@@ -39,18 +40,18 @@ def run_episode(
 ) -> Run:  # fmt: skip
     """Find encounters, attack in them until an attempt succeeds, and learn from them.
 
-    Only wrong use is raised; everything else is an ending.
+    Only wrong use and an unreadable bank raise an exception. Any other failure becomes the ending of the run.
 
     Args:
         run_input: The input.
         settings: The run's settings.
         task: What is simulated.
         engine: The engine process.
-        agents: The players of the parts.
+        agents: The analyzer, generator and modifier.
         bank: The memory bank.
         tell: Called with each encounter, its intents and each attempt.
-        clock: What was done for the run before.
-        within: The time in which the run should end [s], whatever the settings allow.
+        clock: The time that was spent on the run before this call.
+        within: The time after which the run should end, even if the settings allow more [s].
 
     Returns:
         The run.
@@ -71,7 +72,7 @@ def run_episode(
         if error.exit_status == 2:
             raise _explained(error, task.own_names(engine.log.warnings())) from error
         finder.break_off(Stop(Ending.SIMULATION_FAILED, with_names(str(error), task.copies), failed=True))
-    except Exception as error:  # a fault of ours: earlier results are kept
+    except Exception as error:  # a bug of sumo_adv or a lack of memory: earlier results are kept
         trace = traceback.format_exc()
         finder.break_off(Stop(Ending.SIMULATION_FAILED, fault_sentence(error), failed=True, traceback=trace))
     isolation = agents.sandbox.isolation if any(record.attacked for record in finder.records) else ""
@@ -79,12 +80,17 @@ def run_episode(
 
 
 def _explained(error: SumoAdvError, warnings: Sequence[str]) -> SumoAdvError:
-    """The error with SUMO's reason why a vehicle is not there, if it gave one."""
+    """Add SUMO's reason why a vehicle is missing to the error, if SUMO warned of it."""
     why = about(warnings, error.vehicle) if isinstance(error, MissingVehicleError) else None
     return error if why is None else UsageError(f"{str(error).rstrip('.')}. SUMO warned: {why}")
 
 
 def model_ending(error: ModelError) -> Ending:
+    """Return the ending of a run in which a model failed or used up its budget.
+
+    Args:
+        error: The model's failure.
+    """
     return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
 
 
@@ -92,7 +98,7 @@ def _attack_encounters(
     finder: EncounterFinder, settings: Settings, task: Task, engine: EpisodeEngine, agents: Agents, bank: MemoryBank,
     tell: Tell,
 ) -> None:  # fmt: skip
-    """Attack in one encounter after another until one gives a success, or until the run may not go on."""
+    """Attack in one encounter after another until an attempt succeeds, or until the run must end."""
     began, varied = time.perf_counter(), settings.tuner == "builtin"
     while (prepared := finder.find_attackable(agents.sandbox, bank, agents, any_candidate=varied)) is not None:
         another = may_go_on(prepared.found, task, settings)
@@ -116,7 +122,13 @@ def _attack_encounters(
 
 
 def may_go_on(found: FoundEncounter, task: Task, settings: Settings) -> bool:
-    """Return whether a run goes on with the next encounter if this one gives no success."""
+    """Return whether a run may continue with the next encounter if this encounter brings no success.
+
+    Args:
+        found: This encounter.
+        task: What is simulated. With a given trigger or a playback, the run does not continue.
+        settings: The run's settings.
+    """
     last = found.last or task.trigger is not None or task.playback is not None
     return not last and settings.tuner == "builtin" and settings.total_seconds > 0
 
@@ -142,11 +154,22 @@ def decide(
 ) -> Decision:  # fmt: skip
     """Decide which intents to attack with.
 
+    Args:
+        record: The record of the encounter.
+        prepared: The encounter with its predictions.
+        settings: The run's settings.
+        agents: The analyzer, generator and modifier.
+        bank: The memory bank.
+        keep: Called with the record whenever it has grown.
+
+    Returns:
+        The decision. If there is nothing to attack with, its record has the ending ``NO_ENCOUNTER`` and the reason.
+
     Raises:
-        ModelError: A language model plays a part and failed.
+        ModelError: A language model plays an agent and failed.
     """
     record = replace(record, bandit=prepared.bandit).took(prepared.timing)
-    if prepared.known is not None:  # recalled from a similar scene, so no agent is asked
+    if prepared.known is not None:  # recalled from a similar scene, so no agent is needed
         record, library = replace(record, intents=[prepared.known]), prepared.library
     else:
         record, library = analyze(record, prepared, settings, agents, bank, keep)
@@ -158,7 +181,7 @@ def decide(
 
 
 def _why_not(record: EncounterRecord, prepared: PreparedEncounter, settings: Settings) -> str:
-    """Why there is nothing to attack with, empty if there is."""
+    """Return why there is nothing to attack with; empty if there is something."""
     if record.request.declined:
         return f"The request cannot be played: {record.request.declined}"
     if not record.intents and settings.tuner == "off":
@@ -177,18 +200,20 @@ def pursue(
     """Run attempts until one succeeds or the budget is used up, and learn from them.
 
     Args:
-        decision: What to attack with; it has a library.
+        decision: What to attack with. Its ``library`` must not be None.
         runner: Runs the attempts.
         settings: The run's settings.
-        agents: The players of the parts.
+        agents: The analyzer, generator and modifier.
         bank: The memory bank.
         tell: Called with each attempt.
-        keep: Called with the record of the attempts, also after an interruption or a failure.
-        another: True if there may be another encounter, so this one is left sooner if nothing comes near.
+        keep: Called with the record after the attempts, even if they were interrupted or failed, and after learning.
+        another: Whether another encounter may follow. If so, this encounter is left sooner if the attempts do not
+            improve.
         ends_at: When the run should end, as ``time.perf_counter()`` [s].
 
     Returns:
-        The record with the attempts and what was learnt from them.
+        The record with the attempts and what was learnt from them. If a model fails, the record holds the attempts
+        before the failure.
     """
     record, prepared, library = decision.record, decision.prepared, decision.library
     assert library is not None
@@ -200,7 +225,7 @@ def pursue(
     )  # fmt: skip
     try:
         refiner.run(record.intents, done)
-    except ModelError as error:  # the attempts until then count
+    except ModelError as error:  # the attempts before the failure count
         done.ending, done.reason = model_ending(error), str(error)
     finally:
         failures = sorted(f"planner {name[:12]}: {why}" for name, why in prepared.predictor.failures.items())
@@ -218,15 +243,30 @@ def pursue(
     return record
 
 
-# -- a recorded attack again ----------------------------------------------------------------------------------------
+# -- replaying a recorded attack -------------------------------------------------------------------------------------
 
 
 def replay_episode(
     run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, proposal: Proposal,
     skips: int,
 ) -> Run:  # fmt: skip
-    """Repeat an encounter with one given attempt and nothing else: no analyzer, no bank. ``skips``: the number of
-    encounters before it."""
+    """Repeat one recorded attempt in its encounter, without agents and without a bank.
+
+    Args:
+        run_input: The input.
+        settings: The run's settings.
+        task: What is simulated.
+        engine: The engine process.
+        sandbox: Runs the planners.
+        proposal: The recorded candidate.
+        skips: The number of encounters before that of the attempt.
+
+    Returns:
+        The run. It has no attempt if the simulation does not reach the encounter (``Run.stop`` says why).
+
+    Raises:
+        UsageError: The encounter lacks the recorded start or vehicle.
+    """
     finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
     record = recorded_encounter(finder, proposal, skips)
     if record is not None:
@@ -237,7 +277,13 @@ def replay_episode(
 
 
 def given_attack(record: EncounterRecord, proposal: Proposal, reason: str) -> EncounterRecord:
-    """Return a record whose intent is that of a given attack, for the ``reason`` given."""
+    """Return a record with the intent of a given attack as its only intent.
+
+    Args:
+        record: The record of the encounter.
+        proposal: The given attack.
+        reason: Where the attack comes from (``Intent.reason``).
+    """
     intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, reason)
     return replace(record, intents=(intent,), known_labels=frozenset({proposal.label}))
 
@@ -245,10 +291,19 @@ def given_attack(record: EncounterRecord, proposal: Proposal, reason: str) -> En
 def attack_once(
     found: FoundEncounter, runner: Attempts, settings: Settings, proposal: Proposal, asked: Asked | None
 ) -> Refinement:
-    """Run one given attempt and check it as an attempt of a run, except that no model reads its motion.
+    """Run one given attempt and judge it.
+
+    The attempt is judged like any attempt of a run, except that no model reads its motion.
+
+    Args:
+        found: The encounter.
+        runner: Runs the attempt.
+        settings: The run's settings.
+        proposal: The candidate to attempt.
+        asked: The request that the attempt is compared with; None without a request.
 
     Returns:
-        The attempt as the only one. Its ending says whether it meets the goal, or what failed.
+        A refinement with this attempt alone. Its ending says whether the attempt meets the goal, or what failed.
     """
     done = Refinement(goal=settings.goal)
     with done.clock.part("attempts"):
@@ -266,13 +321,18 @@ def attack_once(
 
 
 def recorded_encounter(finder: EncounterFinder, proposal: Proposal, skips: int) -> EncounterRecord | None:
-    """Go on to the encounter of a recorded attack.
+    """Find the encounter of a recorded attack.
+
+    Args:
+        finder: Finds the encounters.
+        proposal: The recorded attack.
+        skips: The number of encounters before that of the attack.
 
     Returns:
-        Its record; None if the simulation does not come to it (``finder.stop`` says why).
+        The record of the encounter; None if the simulation does not reach it (``finder.stop`` says why).
 
     Raises:
-        UsageError: The recorded start or vehicle is none of the encounter's.
+        UsageError: The encounter lacks the recorded start or vehicle.
     """
     record = finder.seek()
     for _ in range(skips):

@@ -1,4 +1,4 @@
-"""A run and its encounters: frozen records, of which the best one is the run's result."""
+"""Record a run and its encounters. The records are frozen, and the best one is the result of the run."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from sumo_adv.words.request import Reading
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What the attack was asked to be.
+    """The attack that was requested.
 
     Attributes:
-        asked: What must be true of the attack; None if nothing was asked for.
-        words: The words of the request; empty without words.
-        declined: Why the encounter cannot play the request; empty if it can.
+        asked: What must be true of the attack; None if no attack was requested.
+        words: The request in words; empty if there are none.
+        declined: Why the request cannot be played in the encounter; empty if it can.
     """
 
     asked: Asked | None = None
@@ -44,26 +44,26 @@ class EncounterRecord:
         found: The encounter.
         goal: What an attempt must reach.
         prefix: The simulation up to the encounter; None if it was not kept.
-        lanes: The lanes near.
-        request: What was asked for in this encounter.
+        lanes: The lanes near the encounter.
+        request: The request, as it was read in this encounter.
         intents: The intents, as the analyzer ranked them.
-        casts: Compositions that a model proposed.
+        casts: Compositions of several adversaries that a model proposed.
         bandit: How the planners of each intent were ordered, for the manifest.
-        attacked: Whether attempts were begun. Encounters that were passed over were not attacked.
-        known_labels: Labels of the intents that the bank had before the attempts.
+        attacked: Whether attempts were started. They were not if the encounter was passed over.
+        known_labels: Labels of the intents that the library had before the attempts.
         attempts: The attempts in order; ``results[k]`` belongs to ``attempts[k]``.
         results: The results of the attempts; empty if the recorded states were not kept.
         successes: Indices of the attempts that reached the goal, one of each kind.
         robust: By index of a success, in how many of its neighbours it holds.
         readings: By index of an attempt, what a model reads in its motion.
-        first_success_seconds: Time from the first attempt to the first success [s]; None without a success.
-        chosen: Index of the attempt that counts, if it is not the best one.
-        ending: How the encounter ended; None while it is not over.
+        first_success_seconds: Time from the start of the search to the first success [s]; None without a success.
+        chosen: Index of the attempt that counts; None if the best attempt counts.
+        ending: How the encounter ended; None if it has not ended.
         reason: Why it ended, as a sentence.
-        left: Why the run went on to the next encounter; empty if it did not.
+        left: Why the run moved on from this encounter; empty if it did not.
         learnt: Whether the bank has learnt a success.
-        bank_change: What the bank has learnt that changes the next run, as a sentence.
-        notes: Sentences about what the reader of the result should know.
+        bank_change: What the bank has learnt that changes the next run, as a sentence; empty if nothing.
+        notes: Sentences that the reader of the result should know.
         timing: How long each part took [s].
     """
 
@@ -108,7 +108,7 @@ class EncounterRecord:
 
     @property
     def intent(self) -> Intent | None:
-        """The intent of the attempt that counts; without attempts the first one. None if nothing attacked."""
+        """The intent of the attempt that counts, or the first intent without attempts; None if nothing attacked."""
         if not self.attacked or not self.intents:
             return None
         best = self.best
@@ -134,28 +134,40 @@ class EncounterRecord:
 
     @property
     def passed_over(self) -> bool:
-        """Whether the run went on to the next encounter without an attempt."""
+        """Whether the run left the encounter without attacking in it."""
         return bool(self.left) and not self.attacked
 
     def of_attempt(self, index: int) -> EncounterRecord:
-        """The same record, in which another attempt counts."""
+        """Return the record with another attempt as the one that counts.
+
+        Args:
+            index: The index of the attempt.
+        """
         return replace(self, chosen=index)
 
     def took(self, seconds: Mapping[str, float]) -> EncounterRecord:
-        """Return the record with more time spent on parts: ``seconds`` by part [s]."""
+        """Return the record with more time counted.
+
+        Args:
+            seconds: The additional time by part [s].
+        """
         return replace(self, timing=seconds_by_part(self.timing, seconds))
 
     def without_states(self) -> EncounterRecord:
-        """The record without recorded states, which take a megabyte for each attempt."""
+        """Return the record without recorded states, which take a megabyte for each attempt."""
         return replace(self, found=replace(self.found, baseline=()), prefix=None, lanes=(), results=())
 
 
 Keep = Callable[[EncounterRecord], None]
-"""Called with the record of an encounter whenever it has grown, so that nothing is lost if something breaks."""
+"""Is called with the record of an encounter whenever it has grown, so that nothing is lost if the run fails later."""
 
 
 def forget(record: EncounterRecord) -> None:
-    """Keep nothing: for callers that need the record only if nothing breaks."""
+    """Keep nothing. Use it if the record is not needed after a failure.
+
+    Args:
+        record: The record, which is ignored.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,9 +177,10 @@ class Stop:
     Attributes:
         ending: How the run ended.
         reason: Why, as a sentence.
-        failed: True if something broke the run off: then this is its ending, whatever its encounters came to.
-            False if there was no further encounter: then this is its ending only if no encounter counts.
-        traceback: Of a fault in sumo_adv; empty otherwise.
+        failed: True if a failure or an interruption ended the run. Then ``ending`` is the ending of the run, whatever
+            the results of its encounters. False if there was no further encounter. Then ``ending`` is the ending of the
+            run only if no encounter counts.
+        traceback: The traceback of an unexpected error; empty otherwise.
     """
 
     ending: Ending
@@ -178,18 +191,18 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run from its input to its encounters. All that is written of a run is a function of this and its best record.
+    """A run from its input to its encounters. All output of a run is a function of this object and its best record.
 
     Attributes:
         run_input: What the run started from.
         settings: The settings.
         task: What the engine was opened with.
-        records: The encounters in order, with those that were passed over.
+        records: The encounters in order, including those that were passed over.
         stop: Why the run ended; None if it ended with its last encounter.
         forked: Whether attempts were forks of one simulation.
-        agents: Who analyzed, generated and modified; None if no part was played.
-        isolation: How planners were kept apart from this machine; empty if none ran.
-        bank_hash: Hash of the bank's content before the run.
+        agents: The analyzer, generator and modifier; None if the run had none.
+        isolation: How planners were isolated from this machine; empty if none ran.
+        bank_hash: The hash of the bank's content before the run; empty if the run had no bank.
         warnings: SUMO's warnings, except those of attempts.
         timing: How long each part took [s].
         driver_time: How long the answers of the ego's driver took; None if SUMO drove it, or the engine was lost.
@@ -210,7 +223,7 @@ class Run:
 
     @property
     def best(self) -> EncounterRecord | None:
-        """The record that is the run's result."""
+        """The record that is the run's result; None if no encounter counts."""
         return best_record(self.records)
 
     @property
@@ -228,29 +241,33 @@ class Run:
         best, stop = self.best, self.stop
         if stop is not None and (stop.failed or best is None):
             return stop.ending, stop.reason
-        if best is None or best.ending is None:  # nothing says how it ended, so nothing vouches for it
+        if best is None or best.ending is None:  # no ending was recorded, so the run counts as failed
             return Ending.SIMULATION_FAILED, ""
         return best.ending, best.reason
 
     @property
     def traceback(self) -> str:
-        """Of a fault in sumo_adv; empty otherwise."""
+        """The traceback of an unexpected error; empty otherwise."""
         return "" if self.stop is None else self.stop.traceback
 
     @property
     def request(self) -> Request:
-        """What was asked for: in the best record, otherwise in the last one, otherwise by the input."""
+        """The request of the best record; without one, of the last record; without records, of the input."""
         record = self.best or (self.records[-1] if self.records else None)
         return Request(self.run_input.asked, self.run_input.words) if record is None else record.request
 
     @property
     def declined(self) -> bool:
-        """Whether nothing was tried because a request could not be played."""
+        """Whether a request could not be played in some encounter, and nothing was attempted in any."""
         tried = any(record.attempts for record in self.records)
         return not tried and any(record.request.declined for record in self.records)
 
     def encounters_before(self, record: EncounterRecord | None) -> int:
-        """Return how many encounters the run sought before that of a record; without a record, all of them."""
+        """Count the encounters that the run found before that of a record.
+
+        Args:
+            record: A record of this run; None counts all encounters.
+        """
         return len(self.records) if record is None else [r.found.time for r in self.records].index(record.found.time)
 
     @property
@@ -260,7 +277,7 @@ class Run:
 
     @property
     def bank_change(self) -> str:
-        """What the bank has learnt last that changes the next run, as a sentence; empty if nothing."""
+        """The last change of the bank that changes the next run, as a sentence; empty if there is none."""
         return next((record.bank_change for record in reversed(self.records) if record.bank_change), "")
 
     @property
@@ -272,22 +289,35 @@ class Run:
 def best_record(records: Sequence[EncounterRecord]) -> EncounterRecord | None:
     """Return the record that is the result of a run.
 
-    A success comes first, then the best attempt by ``rank``, then encounters without an attempt. The first one wins a
-    tie. Encounters that were passed over do not count.
+    Encounters with a success come first. Within both groups, the best attempts are compared by ``rank``, and encounters
+    without an attempt come last. The first encounter wins a tie. Encounters that were passed over do not count.
+
+    Args:
+        records: The records of the run, in order.
+
+    Returns:
+        The record; None if no encounter counts.
     """
     counting = [record for record in records if not record.passed_over]
     return min(counting, key=_order, default=None)
 
 
 def _order(record: EncounterRecord) -> tuple[float, ...]:
-    """A key that sorts records, the best one first."""
+    """Return a key that sorts records, the best one first."""
     best = record.best
     worth = (math.inf, 0.0) if best is None else rank(best.verdict)
     return (record.ending is not Ending.GOAL_MET, *worth)
 
 
 def seconds_by_part(*timings: Mapping[str, float]) -> dict[str, float]:
-    """Return how long each part took in all ``timings`` together [s]."""
+    """Add up the time of each part.
+
+    Args:
+        timings: Mappings from the name of a part to its time [s].
+
+    Returns:
+        The total time by part [s].
+    """
     parts: dict[str, float] = {}
     for timing in timings:
         for part, seconds in timing.items():
