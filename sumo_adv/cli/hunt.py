@@ -148,7 +148,7 @@ def _stopping(now: bool) -> None:
 
 
 class _Lines:
-    """Prints how far a hunt is. The first line comes after ``FIRST_LINE_S`` s even if no encounter has ended."""
+    """Prints the progress of a hunt. The first line comes after ``FIRST_LINE_S`` even if no encounter has ended."""
 
     def __init__(self, minutes: float, *, quiet: bool) -> None:
         self._minutes = minutes

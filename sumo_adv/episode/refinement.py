@@ -1,7 +1,8 @@
-"""The refinement loop: candidates are tried until an attempt reaches the level or the budget is used up.
+"""Refine the attack in an encounter: try candidates until enough attempts succeed or the budget is used up.
 
-The search proposes candidates and observes how the ego drove. Once a planner's share of attempts is used up, or
-without the search once nothing is left, the modifier is asked (``repairs.py``). Every attempt records its proposer.
+The search proposes candidates and observes how the ego drove. The modifier is asked for changes (``repairs.py``) if a
+planner's share of attempts is used up or, in a fixed order without the search, if no candidate is left. Every attempt
+records its proposer.
 """
 
 from __future__ import annotations
@@ -27,25 +28,33 @@ from sumo_adv.goal import Goal
 from sumo_adv.search.ranking import FixedOrder, as_written, chosen_candidates
 from sumo_adv.search.search import AttackSearch
 
-GENERATION_ATTEMPTS = 8  # chosen at a time: fixed, so that results do not depend on the number of cores
-FULL_GENERATION_AFTER_ATTEMPTS = 2 * GENERATION_ATTEMPTS  # before, fewer are made at a time: most searches end early
-MAX_ATTEMPTS_WITHOUT_GAIN = 120  # without a higher level: then an encounter is left, if another one may come
-MAX_ATTEMPTS_WITHOUT_DANGER = 40  # the same number where no attempt has been critical
-BROKEN_ATTEMPTS = 5  # attempts after which a run ends if the ego's driver or SUMO broke in all of them
-MAX_ATTEMPTS_FOR_ROBUST = 24  # after a success of a kind, in which a robust one of that kind is still looked for
+GENERATION_ATTEMPTS = 8  # candidates chosen at a time; fixed, so that results do not depend on the number of cores
+FULL_GENERATION_AFTER_ATTEMPTS = 2 * GENERATION_ATTEMPTS  # fewer are chosen at a time before: most searches end early
+MAX_ATTEMPTS_WITHOUT_GAIN = 120  # attempts without a higher level after which the next encounter is tried, if any
+MAX_ATTEMPTS_WITHOUT_DANGER = 40  # the same number if no attempt has been critical
+BROKEN_ATTEMPTS = 5  # attempts after which a run ends if the ego's driver or SUMO failed in all of them
+MAX_ATTEMPTS_FOR_ROBUST = 24  # attempts after the first success of a kind in which a robust one is still searched for
 FIRST_KEPT_ATTEMPTS, BEST_KEPT_ATTEMPTS = 25, 10  # the first and the best attempts keep their recorded states
-FAVOURITE_INTENTS = 2  # intents that are tried first where a model's answers disagree
+FAVOURITE_INTENTS = 2  # intents that are tried first if a model's answers disagree
 Optimizer = AttackSearch | FixedOrder
-"""Chooses the candidates that are tried (``propose``), and takes note of the attempts (``observe``)."""
+"""Proposes candidates (``propose``) and learns from the attempts (``observe``)."""
 
 
 @dataclass(slots=True)
 class Refinement:
-    """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
+    """The attempts of an encounter so far.
 
-    goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. robust: by
-    index of a success, in how many neighbours it holds. fitting: compares attempts with the request, None without a
-    request.
+    Attributes:
+        goal: What an attempt must reach.
+        attempts: The attempts in order; ``results[k]`` belongs to ``attempts[k]``.
+        results: The results of the attempts. Those that no longer matter lose their recorded states.
+        ending: How the attempts ended.
+        reason: Why they ended, as a sentence; empty after a success.
+        clock: How long each part took.
+        first_success_seconds: Time from the start of the search to the first success [s]; None without a success.
+        successes: Indices of the attempts that reached the goal, one of each kind.
+        robust: By index of a success, in how many of its neighbours it holds.
+        fitting: Compares attempts with the request; None without a request.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -53,7 +62,7 @@ class Refinement:
     results: list[AttemptResult] = field(default_factory=list)
     ending: Ending = Ending.ATTEMPTS_EXHAUSTED
     reason: str = ""
-    clock: PartsClock = field(default_factory=PartsClock)  # how long each part took
+    clock: PartsClock = field(default_factory=PartsClock)
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
     robust: dict[int, Robustness] = field(default_factory=dict)
@@ -61,26 +70,34 @@ class Refinement:
 
     @property
     def best(self) -> int | None:
-        """Index of the best attempt; None without attempts."""
+        """The index of the best attempt; None without attempts."""
         return best_index(self.attempts, self.goal, self.robust, asked=self.fitting is not None)
 
     @property
     def level(self) -> Level:
-        """The highest level of an attempt so far."""
+        """The highest level of the attempts so far."""
         return max((a.verdict.level for a in self.attempts), default=Level.NONE)
 
     def all_ended(self, ending: str) -> bool:
-        """Return whether there are attempts and all of them ended in this way."""
+        """Return whether there are attempts and all of them ended in the same given way.
+
+        Args:
+            ending: The way (``Attempt.ending``).
+        """
         return bool(self.attempts) and all(a.ending == ending for a in self.attempts)
 
     def end_if_all_failed(self) -> None:
-        """Take the planner's or the simulation's failure as the ending if it ended all attempts."""
+        """Set the ending to ``PLANNER_FAILED`` or ``SIMULATION_FAILED`` if this failure ended all attempts."""
         for way, ending in (("planner_failed", Ending.PLANNER_FAILED), ("crashed", Ending.SIMULATION_FAILED)):
             if self.all_ended(way):
                 self.ending, self.reason = ending, self.attempts[-1].message
 
     def recorded(self, record: EncounterRecord) -> EncounterRecord:
-        """Return the record of an encounter with these attempts."""
+        """Return a record with these attempts added.
+
+        Args:
+            record: The record of the encounter.
+        """
         readings = {} if self.fitting is None else dict(self.fitting.readings)
         record = replace(
             record, goal=self.goal, attacked=True, attempts=tuple(self.attempts), results=tuple(self.results),
@@ -91,7 +108,14 @@ class Refinement:
 
 
 def settle_best(done: Refinement, runner: Attempts) -> None:
-    """Have the best attempt confirmed; if its level falls, the next best one, until one keeps its level."""
+    """Confirm the best attempt with all reference drivers.
+
+    If its level falls, another attempt may be the best. This is repeated until the best attempt keeps its level.
+
+    Args:
+        done: The attempts. Confirmed attempts are replaced in it.
+        runner: Runs the reference drivers.
+    """
     while (k := done.best) is not None:
         attempt = confirmed(done.attempts[k], done.results[k], runner, all_drivers=True)
         held = attempt.verdict.level == done.attempts[k].verdict.level
@@ -101,7 +125,7 @@ def settle_best(done: Refinement, runner: Attempts) -> None:
 
 
 class Refiner:
-    """The attempts of one encounter."""
+    """Runs the attempts of one encounter."""
 
     def __init__(
         self, runner: Attempts, found: FoundEncounter, search: AttackSearch, agents: Agents,
@@ -114,27 +138,38 @@ class Refiner:
             runner: Runs the attempts.
             found: The encounter.
             search: Proposes candidates.
-            agents: The players of the parts.
+            agents: The analyzer, generator and modifier.
             library: The intents with their planners.
             settings: The run's settings.
             tell: Called with each attempt.
-            another: Whether there may be another encounter, so that this one is left if nothing comes near.
+            another: Whether another encounter may follow. If so, this encounter is left if the attempts do not improve.
             ends_at: When the run should end, as ``time.perf_counter()`` [s].
         """
         self._another, self._ends_at = another, ends_at
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
-        self._settled = set[str]()  # kinds of successes that are no longer looked for
-        self._favourites: list[Proposal] = []  # if the model's answers disagree: tried first, side by side
+        self._settled = set[str]()  # kinds of successes that are no longer searched for
+        self._favourites: list[Proposal] = []  # candidates that are tried first if the model's answers disagree
 
     def run(self, intents: Sequence[Intent], done: Refinement) -> None:
-        """Run attempts until one succeeds, and keep them in ``done``; ``intents``: as the analyzer ranked them."""
+        """Run attempts until enough kinds of attack succeeded (``settings.diverse``), or until the attempts must end.
+
+        They end if the budget or the candidates are used up, if the first ``BROKEN_ATTEMPTS`` or more have all crashed,
+        and, if another encounter may follow, if they do not improve.
+
+        Args:
+            intents: The intents, as the analyzer ranked them.
+            done: Collects the attempts. Its ending and reason say how they ended.
+
+        Raises:
+            ModelError: A model that plays an agent failed. ``done`` then holds the attempts before the failure.
+        """
         with done.clock.part("prediction"):
             self._search_attack(intents, done)
 
     def _search_attack(self, intents: Sequence[Intent], done: Refinement) -> None:
-        """Propose candidates and try them; what is no other part of the clock is choosing them."""
+        """Propose candidates and try them. The time of no other part counts as ``prediction``."""
         began = time.perf_counter()
         optimizer = self.optimizer(intents)
         while len(done.attempts) < self._settings.attempts:
@@ -166,8 +201,18 @@ class Refiner:
             self._try_neighbours(done, best)
 
     def optimizer(self, intents: Sequence[Intent]) -> Optimizer:
-        """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its
-        ranking counts; where its answers disagree, the best candidates of its first intents are tried first."""
+        """Prepare what proposes the candidates.
+
+        If a model plays the analyzer, the candidates that it chose join those of the search, and its ranking of the
+        intents counts. If its answers disagree, the best candidates of its first ``FAVOURITE_INTENTS`` intents are
+        tried first. A candidate that is recalled from memory overrides the model.
+
+        Args:
+            intents: The intents, as the analyzer ranked them.
+
+        Returns:
+            The search or, with ``tuner = off``, a fixed order.
+        """
         recalled = [p for p in self._search.pool if p.by == "memory"]
         modelled = self._agents.by_model("analyzer") and not recalled
         templates = self._search.follow(intents, self._library, in_their_order=modelled)
@@ -183,6 +228,7 @@ class Refiner:
         return self._search
 
     def _next(self, optimizer: Optimizer, done: Refinement) -> list[Proposal]:
+        """Return the candidates to try next: the favourites first, then few at a time, later whole generations."""
         left = self._settings.attempts - len(done.attempts)
         if not done.attempts and self._favourites:
             return self._favourites[:left]
@@ -202,7 +248,7 @@ class Refiner:
         return plans or (self._repairs.next(_tried(done)) if isinstance(optimizer, FixedOrder) else [])
 
     def _try(self, plans: Sequence[Proposal], done: Refinement, began: float, optimizer: Optimizer) -> bool:
-        """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
+        """Run candidates; return whether enough kinds succeeded or the time is used up, and drop the rest then."""
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(done.attempts), proposal, result)
             with done.clock.part("references"):
@@ -221,7 +267,7 @@ class Refiner:
         return False
 
     def _late(self, began: float, done: Refinement) -> bool:
-        """Whether the time for attempts is used up, which is the reason then."""
+        """Return whether the time for attempts is used up; if so, set this as the reason."""
         now, seconds = time.perf_counter(), self._settings.seconds
         if now - began >= seconds:
             done.reason = f"The {seconds:g} s for attempts were used up."
@@ -230,7 +276,7 @@ class Refiner:
         return now >= min(began + seconds, self._ends_at)
 
     def _forget(self, done: Refinement) -> None:
-        """Drop the recorded states of attempts that no longer matter: they take a megabyte each."""
+        """Drop the recorded states of attempts that no longer matter; they take a megabyte each."""
         kept = set(range(len(done.attempts) - GENERATION_ATTEMPTS, len(done.attempts))) | set(done.successes)
         asked = done.fitting is not None
         ordered = sorted(range(len(done.attempts)), key=lambda k: worth(done.attempts[k], done.goal, asked=asked))
@@ -240,7 +286,7 @@ class Refiner:
                 done.results[k] = replace(result, snapshots=(), sizes={})
 
     def _try_neighbours(self, done: Refinement, index: int) -> list[tuple[Proposal, Verdict]]:
-        """Simulate the neighbours of a success, and note in how many it holds. Returns them with their verdicts."""
+        """Simulate the neighbours of a success, note in how many it holds, and return them with their verdicts."""
         random, dt = Random(self._settings.seed), self._settings.step_length
         attempt, result = done.attempts[index], done.results[index]
         near = neighbours(attempt, result, random, dt, displaces=self._runner.displaces)
@@ -253,7 +299,7 @@ class Refiner:
         return [(p, a.verdict) for p, a in zip(near, tried, strict=True)]
 
     def _keep(self, attempt: Attempt, done: Refinement, began: float) -> None:
-        """Take note of a success; of each kind the first one is named."""
+        """Note a success; ``successes`` lists only the first one of each kind."""
         if done.first_success_seconds is None:
             done.ending, done.reason = Ending.GOAL_MET, ""
             done.first_success_seconds = time.perf_counter() - began
@@ -261,8 +307,12 @@ class Refiner:
             done.successes.append(attempt.index)
 
     def _enough(self, done: Refinement) -> bool:
-        """Whether there are successes of enough kinds. A kind counts once one of its successes is robust, or once none
-        was found in ``MAX_ATTEMPTS_FOR_ROBUST`` attempts after its first one."""
+        """Return whether enough kinds of attack succeeded, and tell the search about the new ones that count.
+
+        A kind counts if one of its successes is robust, or if no robust one was found in the
+        ``MAX_ATTEMPTS_FOR_ROBUST`` attempts after the first success of the kind. If successes cannot be repeated, or
+        with ``tuner = off``, every kind with a success counts.
+        """
         last, settled = len(done.attempts) - 1, set[str]()
         for k in done.successes:
             kind = done.attempts[k].kind
@@ -275,7 +325,7 @@ class Refiner:
         return len(settled) >= self._settings.diverse
 
     def _observe(self, optimizer: Optimizer, done: Refinement, plans: Sequence[Proposal]) -> None:
-        """Give the optimizer the ego's motions in the attempts of its last candidates."""
+        """Pass the verdicts and the ego's motions in the last attempts to the optimizer."""
         count = len(plans)
         for plan, attempt, result in zip(plans, done.attempts[-count:], done.results[-count:], strict=True):
             motion = observed_motion(result, self._found, plan.delay, self._settings)
@@ -291,7 +341,10 @@ class Refiner:
         return attempt_of(index, phase, replace(proposal, by=by), result, self._found, self._settings)
 
     def _credit(self, index: int, proposal: Proposal) -> tuple[str, str]:
-        """The phase of an attempt and its proposer; the search's own candidates are never credited to a model."""
+        """Return the phase of an attempt and its proposer.
+
+        The search's own candidates are never credited to a model.
+        """
         if proposal.by == "memory":
             return "memory", "memory"
         if self._repairs.made(proposal):
@@ -306,7 +359,7 @@ class Refiner:
         return "tuner", "tuner"
 
     def _modify(self, search: AttackSearch, done: Refinement) -> None:
-        """Have planners without attempts left changed; the changes are predicted and join the search's candidates."""
+        """Ask the modifier to change planners whose attempts are used up, and add the changes to the search."""
         for name in search.exhausted():
             for candidate in self._repairs.next(_tried(done), only=name):
                 if candidate.planner.hash in self._repairs.versions:
@@ -316,7 +369,7 @@ class Refiner:
 
 
 def _fitted(done: Refinement, attempt: Attempt, result: AttemptResult, *, read: bool = True) -> Attempt:
-    """The attempt, compared with the request if there is one."""
+    """Compare an attempt with the request, if there is one."""
     return attempt if done.fitting is None else done.fitting.judged(attempt, result, done.goal, read=read)
 
 
@@ -325,7 +378,7 @@ def _robust_kinds(done: Refinement) -> set[str]:
 
 
 def _in_vain(done: Refinement) -> int:
-    """How many attempts were made since the first one of the highest level, once these are enough to leave; else 0."""
+    """Count the attempts since the first one of the highest level, including it; 0 if they are too few to leave."""
     levels = [done.goal.reached(a.verdict) for a in done.attempts]
     since = len(levels) - levels.index(max(levels)) if levels else 0
     enough = MAX_ATTEMPTS_WITHOUT_GAIN if levels and max(levels) >= Level.CRITICAL else MAX_ATTEMPTS_WITHOUT_DANGER

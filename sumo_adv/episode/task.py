@@ -1,4 +1,4 @@
-"""What the front and the engine exchange: the task, the encounter, the results of attempts."""
+"""Define what the front and the engine exchange: the task, the encounter, and the results of attempts."""
 
 from __future__ import annotations
 
@@ -30,14 +30,29 @@ from sumo_adv.situation import Situation
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What the engine is opened with. ``ego``: an id, a route to insert it on, or None to choose one. Times in s.
+    """What the engine simulates.
 
-    ego_driver: its name; ego_given: the driver itself where it was given as a class or an object.
-    driven_from: the earliest time at which the driver takes over the ego, None = as soon as the ego is there.
-    driven_before: vehicles that it drives before, with the times at which it takes over and releases each.
-    delay: the only delay after the trigger at which an attack may begin; None = those of ``delays``.
-    copies: the user's file by the copy that SUMO reads instead.
-    only: the vehicles that may be adversaries; colliders: those that may be the collider. Empty means all.
+    Attributes:
+        spec: How SUMO is started.
+        settings: The run's settings.
+        ego: The ego's id, the route on which an ego is inserted, or None to choose an ego.
+        ego_base_type: The vehicle type of an inserted ego; None means SUMO's default type.
+        ego_driver: The name of the ego's driver.
+        ego_parameters: The parameters of the driver.
+        only: The ids of the vehicles that may be adversaries; empty means all.
+        trigger: The time of the trigger [s]; None to search for encounters.
+        warm_up: The time after the ego's insertion during which no trigger is sought [s]. If the engine chooses the
+            ego, it chooses none during this time after the start.
+        end: The end of the simulation [s].
+        playback: The recording that is played back; None if there is none.
+        ego_given: The driver, if it was given as a class or an object; otherwise None.
+        driven_from: The earliest time at which the driver takes over the ego [s]; None means as soon as the ego is
+            there.
+        driven_before: The vehicles that the driver drives before the ego: id, takeover [s] and release [s].
+        delay: The only delay after the trigger at which an attack may begin [s]; None means those of
+            ``settings.delays``.
+        colliders: The ids of the vehicles that may be the collider; empty means all.
+        copies: The user's file by the copy that SUMO reads instead.
     """
 
     spec: SimulationSpec
@@ -59,11 +74,20 @@ class Task:
     copies: Mapping[str, str] = field(default_factory=dict)
 
     def own_names(self, warnings: Sequence[str]) -> tuple[str, ...]:
-        """SUMO's warnings with the names of the user's files instead of those of copies."""
+        """Replace the names of copies in SUMO's warnings by those of the user's files.
+
+        Args:
+            warnings: The warnings.
+        """
         return tuple(with_names(text, self.copies) for text in warnings)
 
     def roles(self, ego: str, *adversaries: str) -> dict[str, Role]:
-        """The roles of all vehicles but background vehicles."""
+        """Return the roles by id, without background vehicles.
+
+        Args:
+            ego: The ego's id.
+            adversaries: The ids of the adversaries.
+        """
         obstacles = frozenset[str]() if self.playback is None else self.playback.obstacles
         return {
             **dict.fromkeys(obstacles, Role.OBSTACLE), **dict.fromkeys(adversaries, Role.ADVERSARY), ego: Role.EGO
@@ -72,45 +96,82 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class FoundEncounter:
-    """An encounter: its ego and time [s], the ranking, a situation for each delay [s], and the baseline."""
+    """An encounter in which an attack may begin.
+
+    Attributes:
+        ego: The ego's id.
+        time: The time of the trigger [s].
+        ranking: The vehicles that could attack, highest risk first: id, relation and risk.
+        situations: The situation by delay of the attack after the trigger [s].
+        baseline: The states without an attack, from the trigger on; empty if they were predicted and not simulated.
+        passed_over: Why earlier encounters were passed over.
+        drivable: The area that vehicles may drive on.
+        sizes: Length and width of the vehicles by id [m].
+        area: The circle in which ``drivable`` is known: x, y and radius [m].
+        last: Whether no other encounter follows.
+        place: What surrounds the ego; None if this was not determined.
+        driven_from: The time at which the ego's driver took over [s]; None if a client of ``serve`` drives the ego.
+        driven_before: The vehicles that the driver drove before the ego: id, takeover [s] and release [s].
+        beside: The recorded vehicles on which SUMO crashes. They are played back as boxes beside SUMO.
+    """
 
     ego: str
     time: float
-    ranking: tuple[tuple[str, str, float], ...]  # id, relation, risk
+    ranking: tuple[tuple[str, str, float], ...]
     situations: Mapping[float, Situation]
-    baseline: Sequence[Snapshot]  # the states without an attack, from the trigger on; empty if only foreseen
+    baseline: Sequence[Snapshot]
     passed_over: tuple[str, ...]
     drivable: Drivable
     sizes: Mapping[str, tuple[float, float]]
-    area: tuple[float, float, float]  # x, y, radius [m] of the circle in which ``drivable`` is known
-    last: bool = False  # no other encounter comes
-    place: RoadPlace | None = None  # what surrounds the ego
-    driven_from: float | None = None  # when the ego's driver took over [s]; None where a program of its own drives
-    driven_before: Sequence[tuple[str, float, float]] = ()  # what it drove before: id, from and until [s]
-    beside: tuple[str, ...] = ()  # recorded vehicles that SUMO crashes on: boxes beside it
+    area: tuple[float, float, float]
+    last: bool = False
+    place: RoadPlace | None = None
+    driven_from: float | None = None
+    driven_before: Sequence[tuple[str, float, float]] = ()
+    beside: tuple[str, ...] = ()
 
     @property
     def first(self) -> Situation:
-        """The situation of the least delay."""
+        """The situation with the smallest delay."""
         return self.situations[min(self.situations)]
 
     def half_lane(self, start: float) -> float:
-        """Half the width of the ego's lane [m] when an attack begins that takes over at ``start`` [s]."""
+        """Return half the width of the ego's lane at the start of an attack [m].
+
+        Args:
+            start: The time of the takeover [s].
+        """
         delay = max((d for d in self.situations if self.time + d <= start + 1e-6), default=min(self.situations))
         return self.situations[delay].road.lane_width / 2
 
 
 @dataclass(frozen=True, slots=True)
 class NoEncounter:
+    """Why the engine found no encounter.
+
+    Attributes:
+        ending: How the search ended.
+        reason: Why, as a sentence.
+    """
+
     ending: Ending
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class AttemptResult:
-    """The result of one attempt; ``start`` [s]: the takeover of the adversary, ``snapshots``: from the trigger on.
-    actions: the answers of the ego's driver since it took over; None where a program of its own drives it. inside: what
-    it showed of its inside since it took over."""
+    """The result of one attempt.
+
+    Attributes:
+        driven: How the attempt went.
+        verdict: The verdict on the attempt; None if it could not be judged.
+        start: The time at which the adversaries were taken over [s]; the trigger if the attempt crashed.
+        snapshots: The states from the trigger on; empty if they were not kept.
+        sizes: Length and width of the vehicles by id [m].
+        actions: What the ego's driver answered since it took over; None if a client of ``serve`` drives the ego, or if
+            the attempt crashed.
+        inside: What the driver showed of its inside since it took over.
+    """
 
     driven: Driven
     verdict: Verdict | None
@@ -121,20 +182,38 @@ class AttemptResult:
     inside: Sequence[DriverInside] = field(repr=False, default=())
 
     def tracks(self, step: float, *only: str) -> dict[str, Track]:
-        """The recorded motions by id, of these vehicles or of all; ``step``: of the simulation [s]."""
+        """Return the recorded motions by id.
+
+        Args:
+            step: The step of the simulation [s].
+            only: The ids of the vehicles; without ids, all vehicles.
+        """
         return {t.id: t for t in tracks_of(self.snapshots, self.sizes, {}, step, only or None)}
 
 
 @dataclass(frozen=True, slots=True)
 class Prefix:
-    """The simulation from its start to the trigger, and the sizes of all vehicles."""
+    """The simulation before an encounter.
+
+    Attributes:
+        snapshots: The states from the start to the trigger.
+        sizes: Length and width of all vehicles by id [m].
+    """
 
     snapshots: Sequence[Snapshot]
     sizes: Mapping[str, tuple[float, float]]
 
 
 def refuse_density(run_input: RunInput, density: float | None) -> None:
-    """Raises UsageError if an input with traffic of its own is given a density of generated traffic."""
+    """Refuse a density of generated traffic for an input that has its own traffic.
+
+    Args:
+        run_input: The input.
+        density: The density; None if none is given.
+
+    Raises:
+        UsageError: A density is given, and the input has its own traffic.
+    """
     logged = run_input.playback is not None and run_input.playback.tracks is not None
     if density is not None and (run_input.routes or logged or _drives(run_input)):
         raise UsageError(
@@ -144,16 +223,27 @@ def refuse_density(run_input: RunInput, density: float | None) -> None:
 
 
 def _drives(run_input: RunInput) -> bool:
-    """Whether additional files of an input hold vehicles."""
+    """Return whether additional files of an input define vehicles or flows."""
     return any(scan.vehicles or scan.flows for scan in map(scan_demand, run_input.additional))
 
 
 def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
-    """The engine's task for an input; demand is generated into ``folder`` if the input has none.
+    """Make the engine's task for an input.
 
-    Files from which SUMO would write others are copied into ``folder`` without that.
+    If the input has no traffic, traffic is generated into ``folder``. Files that name other files for SUMO to read or
+    write are copied into ``folder`` without those names.
 
-    Raises UsageError: the level, the end or the trigger does not fit.
+    Args:
+        run_input: The input.
+        settings: The run's settings.
+        folder: Where files are written.
+
+    Returns:
+        The task.
+
+    Raises:
+        UsageError: The level, the density, the background, SUMO's options, the end or the trigger does not fit, or a
+            file is damaged or missing.
     """
     if not reachable(settings):
         raise UsageError(
@@ -172,7 +262,7 @@ def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
     end = min(end, first + settings.search) if end is not None and settings.end is None else end
     end = first + settings.search if end is None else end
     if playback is not None and (playback.follows_log or settings.ego == "replay"):
-        end = min(end, playback.end)  # what comes after is not in the log
+        end = min(end, playback.end)  # the log ends here
     logged = playback is not None and playback.tracks is not None
     if not routes and not driven and not logged:
         seed = settings.seed if run_input.demand_seed is None else run_input.demand_seed
@@ -210,13 +300,24 @@ def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
 
 
 def empty_steps(begin: float, first: float, step: float) -> int:
-    """The whole steps [s] of a simulation from its begin to the last but one before anything departs, at ``first``
-    [s]."""
+    """Count the whole steps of a simulation before the first departure, less one.
+
+    Args:
+        begin: The begin of the simulation [s].
+        first: The time of the first departure [s].
+        step: The step of the simulation [s].
+
+    Returns:
+        The number of steps.
+    """
     return max(0, math.floor((first - begin) / step) - 1)
 
 
 def _adversaries(colliders: tuple[str, ...], supports: tuple[str, ...], most: int) -> tuple[str, ...]:
-    """The vehicles that may be adversaries, empty for all: where supports are not named, any vehicle may be one."""
+    """Return the vehicles that may be adversaries; empty means all.
+
+    If several adversaries are allowed and no supports are named, any vehicle may be a support.
+    """
     if most == 1 or not colliders:
         return colliders
     return (*colliders, *(name for name in supports if name not in colliders)) if supports else ()

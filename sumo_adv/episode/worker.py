@@ -1,9 +1,10 @@
-"""The worker of an episode, in the engine process: it finds an encounter and runs attempts on it.
+"""Find encounters and run attempts in the engine process of an episode.
 
-It has no model, no sandbox and no bank.
+The worker has no model, no sandbox and no bank.
 
-The baseline and all attempts branch off at the trigger. A branch is a fork where that is possible (bit-identical, takes
-milliseconds). Elsewhere it runs in place, and then the simulation is loaded again and the same commands are repeated.
+The baseline and all attempts branch off at the trigger. If the system, the settings and the ego's driver allow it, a
+branch is a fork, which is bit-identical and takes milliseconds. Otherwise, the branch runs in place. The simulation is
+then loaded again, and the same commands are repeated up to the trigger.
 """
 
 from __future__ import annotations
@@ -63,8 +64,9 @@ class UnattackedBranch:
 
     Attributes:
         snapshots: The states from the trigger on.
-        sizes: Length and width [m] of the vehicles by id.
-        looks: In a recording, the vehicles that could attack by time [s], every ``LOOK_INTERVAL_S`` s.
+        sizes: Length and width of the vehicles by id [m].
+        looks: The vehicles that could attack, by time after the trigger [s], every ``LOOK_INTERVAL_S``; empty if
+            nothing is played back, or if the trigger is given.
     """
 
     snapshots: list[Snapshot]
@@ -73,9 +75,14 @@ class UnattackedBranch:
 
 
 class EpisodeWorker(EpisodeCalls):
-    """Holds one episode's simulation."""
+    """Holds the simulation of one episode. ``EpisodeCalls`` documents the methods."""
 
     def __init__(self, slots: Sequence[Connection]) -> None:
+        """Start without a simulation.
+
+        Args:
+            slots: Connections to the front, one for each attempt that may run at the same time.
+        """
         self._slots = slots
         self._folder: tempfile.TemporaryDirectory[str]
         self._road: RoadMap
@@ -83,7 +90,7 @@ class EpisodeWorker(EpisodeCalls):
         self._encounter: OpenEncounter
         self._timed: TimedEgo | None = None  # times the answers of the ego's driver
         self._unattacked_seconds = 0.0
-        self._moved = False  # a branch ran in place: load the simulation again before anything else
+        self._moved = False  # whether a branch ran in place, so that the simulation must be loaded again
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -96,7 +103,7 @@ class EpisodeWorker(EpisodeCalls):
         folder = Path(self._folder.name)
         given = task.spec
         files = (given.network, *given.routes, *given.additional)
-        network, *silent = silent_copies(files, folder)  # those of others' run folders may write
+        network, *silent = silent_copies(files, folder)  # files from run folders of others may name outputs
         routes, additional = silent[: len(given.routes)], silent[len(given.routes) :]
         additional.append(ego_type_file(controller, folder, silent))
         spec = replace(given, network=network, routes=tuple(routes), additional=tuple(additional))
@@ -118,6 +125,7 @@ class EpisodeWorker(EpisodeCalls):
         )
 
     def _put_beside_what_sumo_crashes_on(self) -> None:
+        """Rehearse a recording in forks, and play back as boxes the vehicles on which SUMO crashes."""
         drive = self._drive
         if drive.playback is None or not drive.recorded() or not (self._settings.fork and can_fork()):
             return
@@ -153,7 +161,7 @@ class EpisodeWorker(EpisodeCalls):
             if not why:
                 return self._encounter.found
             passed.append(f"{self._drive.now:.1f} s ({why})")
-            if self._search.nearly_over():  # it was looked at as a whole
+            if self._search.nearly_over():  # the rest of the recording was examined as a whole
                 return NoEncounter(Ending.NO_ENCOUNTER, f"In the rest of the recording {why}. Try another --ego-id.")
             if self._task.trigger is not None:
                 near = nearest_ones(self._drive) if why.endswith(ENDANGERS) else ""
@@ -212,7 +220,7 @@ class EpisodeWorker(EpisodeCalls):
     def _in_loop(
         self, proposal: Proposal, names: Sequence[str], plan: Boxes | None, half: float
     ) -> dict[str, str] | None:  # fmt: skip
-        """What each of these drivers makes of a proposal in the loop; None if SUMO dies."""
+        """Return by driver ``AVOIDS`` or ``COLLIDES``, as it drives in the loop; None if SUMO dies."""
         answers: dict[str, str] = {}
         for first in range(0, len(names), len(self._slots)):
             batch = names[first : first + len(self._slots)]
@@ -238,14 +246,17 @@ class EpisodeWorker(EpisodeCalls):
 
         work = prepare(self._encounter, dialogue, ask_front)
         if self._forks:
-            in_forks([work], memory=self._settings.attempt_memory)  # not repeated: the front has spoken
+            in_forks([work], memory=self._settings.attempt_memory)  # the front's messages cannot be repeated
         else:
             self._branch([work])
 
     # -- branching ----------------------------------------------------------------------------------------------
 
     def _branch(self, works: Sequence[Callable[[], Any]], lost: Callable[[str], Any] | None = None) -> list[Any]:
-        """The results of the works, each from the trigger on; ``lost``: see ``in_forks``."""
+        """Do each piece of work from the trigger on, in forks if possible, and return the results.
+
+        ``lost`` makes the result of a fork that died (``in_forks``).
+        """
         if self._forks:
             forgone = None if lost is None else partial(_lost_in_no_time, lost)
             timed = in_forks(
@@ -265,7 +276,7 @@ class EpisodeWorker(EpisodeCalls):
         return results
 
     def _in_own_time(self, work: Callable[[], Any]) -> Callable[[], tuple[Any, DriverTime]]:
-        """The same work in a fork, with the time that the driver's answers took there."""
+        """Make a fork's work also return the time that the driver's answers took in the fork."""
 
         def timed() -> tuple[Any, DriverTime]:
             if self._timed is None:
@@ -276,7 +287,7 @@ class EpisodeWorker(EpisodeCalls):
         return timed
 
     def _reloaded(self, work: Callable[[], Any]) -> Callable[[], Any]:
-        """The same work after loading the simulation again: SUMO may crash in a fork of a state that it reached."""
+        """Make a piece of work load the simulation again first, because SUMO may have crashed in a fork."""
 
         def again() -> Any:
             self._drive.rewind(self._trigger_step)
@@ -285,6 +296,7 @@ class EpisodeWorker(EpisodeCalls):
         return again
 
     def _at_trigger(self) -> None:
+        """Load the simulation again up to the trigger if a branch ran in place."""
         if self._moved:
             self._moved = False
             with aside():
@@ -293,9 +305,9 @@ class EpisodeWorker(EpisodeCalls):
     # -- the baseline -------------------------------------------------------------------------------------------
 
     def _survey(self, ranking: Sequence[RankedVehicle]) -> str:
-        """Run on unattacked and describe the encounter. Why it is passed over, or empty."""
+        """Simulate on without an attack, and describe the encounter; return why it is passed over, or an empty text."""
         self._trigger_step, self._drive.until = len(self._drive.recording.snapshots), math.inf
-        given = self._task.delay is not None  # a given attack: later danger is left to its verdict
+        given = self._task.delay is not None  # the verdict on a given attack judges later danger
         built = build_encounter(
             self._drive, self._road, self._settings, ranking, self._baseline, passed_over=self._passed,
             checked=MIN_EGO_STAY_S + self._settings.step_length if given else math.inf, delay=self._task.delay,
@@ -323,9 +335,9 @@ class EpisodeWorker(EpisodeCalls):
         return UnattackedMotion({t.id: t for t in tracks}, branch.snapshots, branch.sizes, branch.looks)
 
     def _unattacked(self, steps: int) -> UnattackedBranch:
-        """Drive on without an attack.
+        """Simulate on without an attack.
 
-        In a recording the branch ends when the ego leaves: nothing after that can be attacked.
+        In a recording, the branch ends when the ego leaves, because nothing can be attacked after that.
         """
         drive, settings, looks = self._drive, self._settings, dict[float, list[RankedVehicle]]()
         detector, every = self._search.watch(), settings.steps(LOOK_INTERVAL_S)
@@ -341,7 +353,7 @@ class EpisodeWorker(EpisodeCalls):
 
     @contextmanager
     def _within_memory(self) -> Iterator[None]:
-        """Raises DriverError where a fork has used up its memory."""
+        """Raise DriverError if a fork has used up its memory."""
         try:
             yield
         except Exception as error:
@@ -359,7 +371,10 @@ class EpisodeWorker(EpisodeCalls):
         return partial(self._try, proposal, self._asks(index, proposal, slot))
 
     def _asks(self, index: int, proposal: Proposal, slot: Connection) -> list[AskOne]:
-        """Ask the planners of a proposal's adversaries; made before the fork, because a planner's text is read once."""
+        """Return what asks the planners of a proposal's adversaries.
+
+        Call it before the fork, because a planner's source is read only once.
+        """
         situation = self._encounter.situation_for(proposal)
 
         def ask_front(member: int, observation: PlannerObservation) -> Any:
@@ -369,7 +384,7 @@ class EpisodeWorker(EpisodeCalls):
         return [ask_trusted(p, situation, partial(ask_front, member)) for member, p in enumerate(proposal.members)]
 
     def _try(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
-        """An attempt; it alone is lost where the ego's driver hangs, ends its process or uses up the memory."""
+        """Run an attempt; it counts as crashed if the ego's driver fails or uses up the memory."""
         try:
             with self._within_memory():
                 return self._encounter.attempt(proposal, asks)
@@ -378,5 +393,5 @@ class EpisodeWorker(EpisodeCalls):
 
 
 def _lost_in_no_time(lost: Callable[[str], Any], why: str) -> tuple[Any, DriverTime]:
-    """What stands for the result of a fork that died, whose driver's time is not known."""
+    """Make the result of a fork that died; the time of its driver is unknown and counts as zero."""
     return lost(why), DriverTime()
