@@ -169,7 +169,7 @@ class Refiner:
             self._search_attack(intents, done)
 
     def _search_attack(self, intents: Sequence[Intent], done: Refinement) -> None:
-        """Propose candidates and try them. The time of no other part counts as ``prediction``."""
+        """Propose candidates and try them, within the clock's part ``prediction``."""
         began = time.perf_counter()
         optimizer = self.optimizer(intents)
         while len(done.attempts) < self._settings.attempts:
@@ -203,9 +203,9 @@ class Refiner:
     def optimizer(self, intents: Sequence[Intent]) -> Optimizer:
         """Prepare what proposes the candidates.
 
-        If a model plays the analyzer, the candidates that it chose join those of the search, and its ranking of the
-        intents counts. If its answers disagree, the best candidates of its first ``FAVOURITE_INTENTS`` intents are
-        tried first. A candidate that is recalled from memory overrides the model.
+        If a model plays the analyzer and nothing is recalled from memory, the candidates that the model chose join
+        those of the search, and its ranking of the intents counts. If its answers disagree, the best candidates of its
+        first ``FAVOURITE_INTENTS`` intents are tried first.
 
         Args:
             intents: The intents, as the analyzer ranked them.

@@ -82,7 +82,7 @@ class Task:
         return tuple(with_names(text, self.copies) for text in warnings)
 
     def roles(self, ego: str, *adversaries: str) -> dict[str, Role]:
-        """Return the roles by id, without background vehicles.
+        """Return the roles of the ego, the adversaries and recorded obstacles by id.
 
         Args:
             ego: The ego's id.
