@@ -25,6 +25,7 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python docs/check_prose.py
 
 bench: $(STAMP)
 	@status=0; for script in $(filter-out %/golden.py %/conformance_scenes.py %/results.py $(wildcard benchmarks/transformer*.py),$(wildcard benchmarks/*.py)); do echo "== $$script"; $(BIN)/python $$script $(ARGS) || status=1; done; exit $$status

@@ -109,11 +109,10 @@ class AlwaysExits(ExitsProcess):
 class Slow(Sleeps):
     """Takes 0.2 s for each of its answers, and never hangs."""
 
-    visits = tuple(range(1, 1000))
-
-    def stick(self) -> None:
-        """Take its time."""
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """As SUMO would, but later."""
         time.sleep(0.2)
+        return None
 
 
 class ExitsAtOnce(Sleeps):

@@ -268,7 +268,11 @@ class Crew:
     """
 
     def __init__(self, make: Callable[[Any], AbstractContextManager[Any]] | None = None) -> None:
-        """Gather a crew; its processes start with the first batch. ``make``: see :class:`LocalWorkers`."""
+        """Gather a crew; its processes start with the first batch.
+
+        Args:
+            make: Makes a worker's runner; see :class:`LocalWorkers`.
+        """
         self._make = make
         self._slots: list[_Slot] = []
         self._scratch: tempfile.TemporaryDirectory[str]

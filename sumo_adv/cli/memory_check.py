@@ -207,7 +207,7 @@ def calibrate(
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
-    """How well the bank tells known from novel intents: epsilon from one half of the files, figures from the others.
+    """Measure how well the bank tells known from novel intents: epsilon from half of the files, figures from the rest.
 
     Behaviours with an intent that the bank lacks count as novel. The intervals are 95 % bootstrap.
     """

@@ -1,9 +1,9 @@
-"""Campaigns in rounds until a clock ends them; inputs that bring new failures get more of the rounds.
+"""Run batches in rounds until a clock ends them, and give more rounds to inputs that bring new failures.
 
-A round is a campaign of some inputs with the next seeds, in a folder of its own (``rounds/0001``). Which inputs a round
-has follows from the rounds before: each input is drawn as often as it is likely to bring a distinct failure (Thompson
-sampling; Thompson 1933). ``hunt.json`` remembers the rounds, the time that each took and how many failures were known
-at its end, so the same command goes on.
+A round is a batch of some inputs with the next seeds, in a folder of its own (``rounds/0001``). The earlier rounds
+decide which inputs a round has: an input is chosen with the probability that it brings a distinct failure (Thompson
+sampling; Thompson 1933). ``hunt.json`` holds the rounds, the time that each took and the number of failures that were
+known at its end, so the same command continues the hunt.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.local import Stop
 from sumo_adv.campaigns.plan import CampaignPlan
-from sumo_adv.campaigns.results import is_failed
+from sumo_adv.campaigns.results import Learn, is_failed
 from sumo_adv.datatypes import Level
 from sumo_adv.drivers.timing import DriverTime, read_driver_time, total_time
 from sumo_adv.episode.run import seconds_by_part
@@ -46,7 +46,7 @@ HUNT_SCHEMA = 1
 FAILURES_FOLDER = "failures"
 MAX_EPISODES_PER_WORKER = 3
 """Episodes of a round for each worker at most; the first round has one."""
-ROUND_S = 60.0  # s: how long a round should take, by what an episode took before
+ROUND_S = 60.0  # s: how long a round should take
 MIN_ATTEMPTS = 12  # attempts that an encounter should have time for, whatever one of them costs
 FAILED_EPISODES = 3  # that end the hunt if no episode succeeds; fewer if there are fewer inputs
 LINE_INTERVAL_S = 10.0  # s between two reports of progress, unless there is a new failure
@@ -59,11 +59,11 @@ MAX_TIME_SHARE = 0.1  # of the time that is left: the most that an encounter may
 FAILURE_GOAL = Goal(Level.VALID)
 """What a failure comes to at least, if no level is asked for."""
 RunCampaign = Callable[[CampaignPlan, Orders, Callable[[Mapping[str, Any]], None]], Summary]
-"""Runs what is missing of a plan, and calls a function with the row of each episode that ends. Raises SumoAdvError."""
+"""Runs the missing episodes of a plan, and calls a function with the row of each one. Raises SumoAdvError."""
 
 
 def count_failures(found: Sequence[Failure], level: Level) -> int:
-    """How many failures are of this level or a higher one; near-touches do not count."""
+    """Count the failures of this level or a higher one, without near-touches."""
     return sum(f.level >= level and not f.near_touch for f in found)
 
 
@@ -79,7 +79,7 @@ class HuntProgress:
         found: The distinct failures, most serious first.
         newest: The newest distinct failure; None if there is none since the last report.
         lost: The number of attempts and episodes that broke, such as with a driver that hangs.
-        left: Estimates of what is left to find.
+        left: Estimates of what is left.
         driver_time: How long the driver's answers took.
         episode_seconds: The time of all episodes [s].
     """
@@ -111,7 +111,7 @@ class Found:
         attempts: The number of attempts in them.
         seconds: The time of the hunt, over all its calls [s].
         ended: ``time``, ``distinct`` or ``stopped`` (Ctrl-C).
-        left: Estimates of what is left to find.
+        left: Estimates of what is left.
         lost: A sentence for each attempt and each episode that broke.
         scenarios: What was met of each named scenario.
         driver_time: How long the driver's answers took.
@@ -175,7 +175,7 @@ class Hunt:
         self._input_of: dict[str, str] = {}  # by id of an episode, the content of its input
 
     def run(self, tell: Callable[[HuntProgress], None]) -> Found:
-        """Go on until the time is used up or enough was found. What a round found is kept when the next one begins.
+        """Run rounds until the time is used up or enough was found.
 
         Raises SumoAdvError: no episode can be run, none was, or the disk is full.
         """
@@ -200,16 +200,16 @@ class Hunt:
         )  # fmt: skip
 
     def found(self) -> list[Failure]:
-        """The distinct failures so far, most serious first."""
+        """Return the distinct failures so far, most serious first."""
         return distinct(f for k, rows in enumerate(self._rows) for f in self._failures(k, rows))
 
     def left(self) -> Discovery:
-        """What is left to find, by the encounters so far."""
+        """Estimate from the encounters so far what is left to find."""
         rows = [(k, row) for k, each in enumerate(self._rows) for row in each if not is_failed(row)]
         return discovery([cells_of(self._failures(k, [row])) for k, row in rows])
 
     def scenarios(self) -> list[ScenarioRow]:
-        """What was met of each named scenario so far."""
+        """Count for each named scenario what was met so far."""
         return scenario_rows(tally for each in self._tallies for own in each.values() for tally in own)
 
     # -- rounds -------------------------------------------------------------------------------------------------
@@ -221,8 +221,8 @@ class Hunt:
         seconds, kinds = order["seconds"], order.get("kinds", KINDS_PER_ENCOUNTER)
         bounds = {"seconds": seconds, "total_seconds": 2 * seconds, "diverse": kinds}
         plan = replace(
-            self._plan, inputs=inputs, seeds=tuple(order["seeds"]),
-            variants=[{**variant, **bounds} for variant in self._plan.variants],
+            self._plan, inputs=inputs, seeds=tuple(order["seeds"]), learn=Learn.AFTER,
+            variants=[{"recall": "scene", **variant, **bounds} for variant in self._plan.variants],
         )  # fmt: skip
         self._input_of |= {job.id: job.input.content for job in plan.jobs}
         began, before = time.perf_counter(), order.get("took", 0.0)
@@ -236,7 +236,9 @@ class Hunt:
 
         stop = Stop(drain=self._left() <= 0)
         pace = replace(self._orders.pace, until=time.time() + self._left())
-        summary = self._campaign(plan, replace(self._orders, out=self._folder_of(k), pace=pace, stop=stop), finished)
+        summary = self._campaign(
+            plan, replace(self._orders, out=self._folder_of(k), pace=pace, stop=stop, bank=self._bank()), finished
+        )
         if summary.ran or summary.stopped:
             order["took"] = before + time.perf_counter() - began
         self._begin(k)
@@ -246,6 +248,12 @@ class Hunt:
             many = f"All {len(every)} episodes" if len(every) > 1 else "The only episode"
             raise SumoAdvError(f"{many} of the hunt failed, the first one because: {every[0]['failure']}")
         return summary
+
+    def _bank(self) -> Path:
+        bank = self.folder / "bank.sqlite"
+        if not bank.exists():
+            shutil.copyfile(self._orders.bank, bank)
+        return bank
 
     def _begin(self, k: int) -> None:
         """Forget what is known of the episodes of a round."""
@@ -294,7 +302,7 @@ class Hunt:
         return found
 
     def _next(self) -> dict[str, Any]:
-        """The inputs and seeds of the next round."""
+        """Choose the inputs and seeds of the next round."""
         rounds, seed = self._state["rounds"], self._plan.seeds[0]
         random = Random(f"{seed}-{len(rounds)}")
         workers, rows = self._orders.pace.workers, sum(map(len, self._rows))
@@ -311,7 +319,7 @@ class Hunt:
         return {"inputs": chosen, "seeds": seeds, "seconds": self._each(), "kinds": self._kinds()}
 
     def _each(self) -> float:
-        """How long an encounter may be attacked [s]."""
+        """Return how long an encounter may be attacked [s]."""
         firsts = [s for each in self._firsts for s in each]
         longest = self._longest if self._longest is not None else max(MAX_ENCOUNTER_S, MIN_ATTEMPTS * self._costs())
         longest = min(longest, MAX_MEDIAN_TIMES * median(firsts)) if firsts else longest
@@ -324,7 +332,7 @@ class Hunt:
         return spent.get("attempts", 0.0) / attempts if attempts else 0.0
 
     def _kinds(self) -> int:
-        """How many kinds of attacks an encounter is searched for.
+        """Return how many kinds of attacks an encounter is searched for.
 
         As long as the rounds bring new failures, a fresh encounter is the quicker way to the next one.
         """
@@ -334,7 +342,7 @@ class Hunt:
         return KINDS_PER_ENCOUNTER if known and known[-1] == (known[-2] if len(known) > 1 else None) else 1
 
     def _tally(self) -> tuple[Counter[str], Counter[str]]:
-        """By input the episodes, and those that were the first of a cell."""
+        """Count for each input its episodes, and those that brought a new cell."""
         tries, wins, cells = Counter[str](), Counter[str](), set[Any]()
         for k, rows in enumerate(self._rows):
             for row in rows:
@@ -346,7 +354,7 @@ class Hunt:
         return tries, wins
 
     def _shown(self) -> Iterator[Shown]:
-        """The episodes with the named scenarios that they show."""
+        """Yield each episode with the named scenarios that it shows."""
         for rows, tallies in zip(self._rows, self._tallies, strict=True):
             for row in rows:
                 own = {name for tally in tallies.get(str(row["id"]), ()) for name in tally}
@@ -402,7 +410,7 @@ class Hunt:
         return state
 
     def _write(self, found: Sequence[Failure] | None = None) -> None:
-        """The state, and the table of distinct failures."""
+        """Write the state and, if they are given, the distinct failures."""
         with sentences(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / HUNT, json.dumps(self._state, indent=1) + "\n")
@@ -413,7 +421,7 @@ class Hunt:
                 write_scenarios(self.folder, self.scenarios())
 
     def _collected(self) -> list[Failure]:
-        """Copies of the representatives' folders in ``failures/``, best first, and the table that names them."""
+        """Copy the folders of the distinct failures into ``failures/``, most serious first, and write their table."""
         target = self.folder / FAILURES_FOLDER
         found = []
         with sentences(self.folder):
@@ -428,19 +436,19 @@ class Hunt:
 
 
 def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Why episodes failed, and why attempts of the others broke."""
+    """Collect why episodes failed, and why attempts of the others broke."""
     broke = [each for o in outcomes.values() for each in o["attempts"] if each["ending"] == "crashed"]
     return [str(row["failure"]) for row in rows if is_failed(row)] + [str(each["message"]) for each in broke]
 
 
 def _times_of(outcome: Mapping[str, Any]) -> tuple[DriverTime, float]:
-    """How long the driver's answers took in an episode, and the episode [s]."""
+    """Return how long the driver's answers took in an episode, and how long the episode took [s]."""
     took = read_driver_time(outcome.get("driver_time"))
     return took or DriverTime(), float((outcome["timing"] or {}).get("total") or 0.0)
 
 
 def _copy(path: Path, target: Path) -> None:
-    """The files of a folder in a new one, as links (which take no space) where the file system has them."""
+    """Copy a folder; its files become hard links, which take no space, if the file system has them."""
     target.mkdir(parents=True)
     for file in sorted(path.iterdir()):
         if file.is_dir():
