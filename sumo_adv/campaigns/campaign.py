@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import shutil
 import signal
 import sqlite3
 import time
@@ -217,6 +220,8 @@ def _prepare(
     try:
         store.snapshot(orders.bank)
     except sqlite3.Error as error:
+        if shutil.disk_usage(store.folder).free < orders.bank.stat().st_size:  # SQLite says "disk I/O error"
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
         raise BankError(f"The memory bank {orders.bank} could not be copied ({error}).") from error
     with MemoryBank.open(store.bank, read_only=True) as bank:
         summary.bank_hash = bank.content_hash()

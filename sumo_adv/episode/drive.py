@@ -137,6 +137,7 @@ class Drive:
         recording: The recorded states.
         observe: Makes the driver's observation from the ego and the ids of the vehicles near it; None gives a plain
             one.
+        watched: Whether SUMO still drives the ego, because its driver has not taken over yet.
         steered: Whether the ego's driver, not SUMO, moved the ego in the last step.
         heeding: Whether the driver also moved it with pedals and wheel, and wants SUMO's advice.
         actions: Counts the driver's answers since it took over.
@@ -170,6 +171,7 @@ class Drive:
         self._takeovers: list[tuple[int, str | None]] = []
         self._playing = False
         self.observe: Observe | None = None
+        self.watched = False
         self.steered = False
         self.heeding = False
         self.actions = ActionCount()
@@ -236,6 +238,10 @@ class Drive:
         log, replayed = self.playback, isinstance(self.controller, ReplayEgo)
         return log is None or log.may_take(vehicle, self.snapshot.raw, self.now, replayed=replayed)
 
+    def watch(self, vehicle: str) -> None:
+        """Make a vehicle the ego that SUMO goes on to drive, until ``take_over`` or ``release``."""
+        self.ego, self.watched = vehicle, True
+
     def take_over(self, vehicle: str) -> None:
         """Make a vehicle the ego: it gets the driver under test.
 
@@ -257,7 +263,7 @@ class Drive:
         with self._driver("reset"):
             self.controller.reset(self.seed)
         self.actions, self.inside, self._ego_place = ActionCount(), [], None
-        self.ego = vehicle
+        self.ego, self.watched = vehicle, False
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
     def release(self) -> None:
@@ -266,7 +272,7 @@ class Drive:
             self.simulation.set_speed(self.ego, None)
             self.simulation.set_type(self.ego, self._own_type)
         self._own_type = ""
-        self.ego, self.steered, self.heeding, self._ego_place = None, False, False, None
+        self.ego, self.watched, self.steered, self.heeding, self._ego_place = None, False, False, False, None
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
@@ -286,7 +292,7 @@ class Drive:
         if self.playback is not None:
             raw = self.snapshot.raw if self.recording.snapshots else {}
             self.playback.before_step(raw, self.now, driven)
-        if self.ego is not None and self.recording.snapshots and self.ego in self.snapshot.raw:
+        if self.ego is not None and not self.watched and self.recording.snapshots and self.ego in self.snapshot.raw:
             self._let_ego_act(driven, ego)
         if self.playback is not None:
             self.playback.injected(driven)
@@ -336,6 +342,7 @@ class Drive:
         if self.on_load is not None:
             self.on_load()
         self.ego, self._takeovers, self._playing, self.steered, self.heeding = None, [], False, False, False
+        self.watched = False
         self._own_type, self._ego_place = "", None
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):

@@ -20,6 +20,7 @@ from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.permissions import OFF_ROAD_CLASSES
 
 EGO_PATIENCE_S = 15.0  # s after which a chosen ego without an encounter is replaced by another
+DRIVER_LEAD_S = 3.0  # s for which the driver drives a chosen ego before an encounter may begin
 SAME_ENCOUNTER_S = 15.0  # s after an encounter was left in which its vehicles begin no other one
 WHOLE_RECORDING_S = 10.0  # s; a recording that is no longer, or the rest of a longer one, is one encounter
 INSERTED_EGO = "ego"
@@ -115,7 +116,10 @@ class EncounterSearch:
                 name = requested if requested is not None and self._may_begin(requested) else None
                 if requested is None and step % every == 0 and drive.now >= task.spec.recorded_from + task.warm_up:
                     name = self._choose_ego(tried)
-                if name is not None:
+                if name is not None and requested is None and self._scouts:
+                    drive.watch(name)
+                    since, detector = drive.now, self.watch()
+                elif name is not None:
                     drive.take_over(name)
                     # a recorded vehicle is there before the driver takes over
                     seen = (s.time for s in drive.recording.snapshots if name in s.raw)
@@ -139,13 +143,22 @@ class EncounterSearch:
                 ranking = detector.look(drive)
                 later = drive.now >= self._left_at + SAME_ENCOUNTER_S
                 if ranking and (later or not self._left_vehicles.issuperset(c.id for c in ranking)):
-                    return ranking
+                    if not drive.watched:
+                        return ranking
+                    drive.take_over(drive.ego)
+                    since = drive.now + DRIVER_LEAD_S - wait
+                    continue
                 if requested is None and drive.now - since > EGO_PATIENCE_S:
                     tried.add(drive.ego)
                     drive.release()
             if not drive.to_come():
                 break
         return self._nothing(requested, detector)
+
+    @property
+    def _scouts(self) -> bool:
+        """Whether SUMO drives a chosen ego until an encounter comes, because its driver takes longer."""
+        return self.drive.controller.needs_observation and not self.drive.recorded()
 
     def _drives_another(self) -> bool:
         """Have the driver drive vehicles before the ego, as the task says; return whether it drives one now."""

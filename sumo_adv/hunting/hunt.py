@@ -24,7 +24,7 @@ from typing import Any
 from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.local import Stop
 from sumo_adv.campaigns.plan import CampaignPlan
-from sumo_adv.campaigns.results import Learn, is_failed
+from sumo_adv.campaigns.results import is_failed
 from sumo_adv.datatypes import Level
 from sumo_adv.drivers.timing import DriverTime, read_driver_time, total_time
 from sumo_adv.episode.run import seconds_by_part
@@ -55,7 +55,8 @@ MIN_ENCOUNTER_S = 3.0
 MAX_MEDIAN_TIMES = 3.0  # an encounter may take this many times the median time to the first success
 KINDS_PER_ENCOUNTER = 3
 """Kinds of attacks that are looked for in an encounter once fresh encounters brought nothing new."""
-MAX_TIME_SHARE = 0.1  # of the time that is left: the most that an encounter may take
+MAX_TIME_SHARE = 0.1
+"""Share of the time that is left that the attempts in an encounter may take, if finding it does not take longer."""
 FAILURE_GOAL = Goal(Level.VALID)
 """What a failure comes to at least, if no level is asked for."""
 RunCampaign = Callable[[CampaignPlan, Orders, Callable[[Mapping[str, Any]], None]], Summary]
@@ -221,8 +222,8 @@ class Hunt:
         seconds, kinds = order["seconds"], order.get("kinds", KINDS_PER_ENCOUNTER)
         bounds = {"seconds": seconds, "total_seconds": 2 * seconds, "diverse": kinds}
         plan = replace(
-            self._plan, inputs=inputs, seeds=tuple(order["seeds"]), learn=Learn.AFTER,
-            variants=[{"recall": "scene", **variant, **bounds} for variant in self._plan.variants],
+            self._plan, inputs=inputs, seeds=tuple(order["seeds"]),
+            variants=[{**variant, **bounds} for variant in self._plan.variants],
         )  # fmt: skip
         self._input_of |= {job.id: job.input.content for job in plan.jobs}
         began, before = time.perf_counter(), order.get("took", 0.0)
@@ -236,9 +237,7 @@ class Hunt:
 
         stop = Stop(drain=self._left() <= 0)
         pace = replace(self._orders.pace, until=time.time() + self._left())
-        summary = self._campaign(
-            plan, replace(self._orders, out=self._folder_of(k), pace=pace, stop=stop, bank=self._bank()), finished
-        )
+        summary = self._campaign(plan, replace(self._orders, out=self._folder_of(k), pace=pace, stop=stop), finished)
         if summary.ran or summary.stopped:
             order["took"] = before + time.perf_counter() - began
         self._begin(k)
@@ -248,12 +247,6 @@ class Hunt:
             many = f"All {len(every)} episodes" if len(every) > 1 else "The only episode"
             raise SumoAdvError(f"{many} of the hunt failed, the first one because: {every[0]['failure']}")
         return summary
-
-    def _bank(self) -> Path:
-        bank = self.folder / "bank.sqlite"
-        if not bank.exists():
-            shutil.copyfile(self._orders.bank, bank)
-        return bank
 
     def _begin(self, k: int) -> None:
         """Forget what is known of the episodes of a round."""
@@ -321,15 +314,17 @@ class Hunt:
     def _each(self) -> float:
         """Return how long an encounter may be attacked [s]."""
         firsts = [s for each in self._firsts for s in each]
-        longest = self._longest if self._longest is not None else max(MAX_ENCOUNTER_S, MIN_ATTEMPTS * self._costs())
+        attempt, rest = self._costs()
+        longest = self._longest if self._longest is not None else max(MAX_ENCOUNTER_S, MIN_ATTEMPTS * attempt)
         longest = min(longest, MAX_MEDIAN_TIMES * median(firsts)) if firsts else longest
-        return round(max(MIN_ENCOUNTER_S, min(longest, MAX_TIME_SHARE * self._left())), 1)
+        return round(max(MIN_ENCOUNTER_S, min(longest, max(MAX_TIME_SHARE * self._left(), rest))), 1)
 
-    def _costs(self) -> float:
-        """Return how long an attempt takes [s]; 0 before the first one."""
-        attempts = sum(int(row["attempts"] or 0) for rows in self._rows for row in rows)
-        spent = seconds_by_part(*(parts for each in self._parts for parts in each))
-        return spent.get("attempts", 0.0) / attempts if attempts else 0.0
+    def _costs(self) -> tuple[float, float]:
+        """Return how long an attempt takes, and everything else in an episode [s]; 0 before the first one."""
+        parts = [each for every in self._parts for each in every]
+        spent, attempts = seconds_by_part(*parts), sum(int(row["attempts"] or 0) for rows in self._rows for row in rows)
+        attacking = spent.get("attempts", 0.0)
+        return attacking / max(attempts, 1), (spent.get("total", 0.0) - attacking) / max(len(parts), 1)
 
     def _kinds(self) -> int:
         """Return how many kinds of attacks an encounter is searched for.
