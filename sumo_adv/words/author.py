@@ -7,6 +7,7 @@ there is none, the best one is kept.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from sumo_adv.words.roads import Net
 
 MAX_CORRECTIONS = 5  # maximum number of corrections after the first answer
 MAX_REQUEST_QUESTIONS = 8  # for one request: drafts, readings and planners of novel behaviours
+FACTS = 3  # attempts that the model is told about if a draft does not do
 QUESTIONS_PER_DRAFT = 2  # maximum number of questions that one more draft takes
 DEFAULT_LEVEL = "valid"  # the wanted level if a draft names none
 Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
@@ -271,9 +273,49 @@ def _what_happened(played: Played) -> str:
     lines += [holds] if (holds := held(asked["parts"])) else []
     gates = outcome["outcome"]["failed_gates"]
     lines += [f"Gates that failed: {', '.join(gates)}."] if gates else []
+    lines += [f"Attempt {fact}" for fact in attempt_facts(outcome["attempts"])]
     lines.append(f"Its motion, from when the attack began (A is '{played.scene.attack.adversary}'):\n{asked['motion']}")
     lines.append("Change places, speeds, the road, intents or what is asked, whichever is the reason.")
     return "\n".join(lines)
+
+
+def attempt_facts(attempts: Sequence[Mapping[str, Any]], most: int = FACTS) -> list[str]:
+    """Say in one line each how far the best attempts came, best first.
+
+    Better attempts have a higher level, lack less of the request, and have a lower minimum TTC. Of attempts with the
+    same intent and mode, only the best one is told.
+
+    Args:
+        attempts: The attempts of ``outcome.json``.
+        most: The maximum number of lines.
+    """
+
+    def worth(attempt: Mapping[str, Any]) -> tuple[int, int, float]:
+        ttc = attempt["min_ttc"]
+        lacks = len(attempt.get("misfits", ()))
+        return -int(Level[str(attempt["level"]).upper()]), lacks, math.inf if ttc is None else float(ttc)
+
+    told: dict[tuple[str, str], str] = {}
+    for attempt in sorted(attempts, key=worth):
+        told.setdefault((attempt["intent"], attempt["planner"]["mode"]), _fact(attempt))
+    return list(told.values())[:most]
+
+
+def _fact(attempt: Mapping[str, Any]) -> str:
+    """Say what an attempt was, how far it came, and what stopped it."""
+    numbers = ", ".join(f"{name} {value:.3g}" for name, value in attempt["parameters"].items())
+    ttc, seen = attempt["min_ttc"], attempt["diagnosis"]
+    parts = [f"level {attempt['level']}, {'no conflict' if ttc is None else f'minimum TTC {ttc:.2f} s'}"]
+    if seen is not None:
+        ahead, left = seen["ego_frame"]
+        place = f"{abs(ahead):.1f} m {'ahead of' if ahead >= 0.0 else 'behind'} the EGO"
+        beside = f"{abs(left):.1f} m to its {'left' if left >= 0.0 else 'right'}"
+        speeds = f"the EGO at {seen['ego_speed']:.1f} m/s and A at {seen['bv_speed']:.1f} m/s"
+        parts.append(f"nearest {seen['time']:.1f} s after its start, A {place} and {beside}, {speeds}")
+    parts += [f"beyond the limits of {', '.join(attempt['failed_gates'])}"] if attempt["failed_gates"] else []
+    parts += [sanitize(lack).rstrip(".") for lack in attempt.get("misfits", ())]
+    mode = f"{sanitize(attempt['intent'])}/{sanitize(attempt['planner']['mode'])}"
+    return f"{attempt['index'] + 1} ({mode}{f'; {numbers}' if numbers else ''}): {'; '.join(parts)}."
 
 
 def _intent(entry: LibraryEntry) -> str:
