@@ -38,6 +38,7 @@ def test_a_fact_says_where_it_was_nearest_and_what_stopped_it() -> None:
         attempt(0, "Cut", "none", 2.0, diagnosis=seen, failed_gates=["off_road"], misfits=["It does not brake."])
     ])  # fmt: skip
     assert fact == (
-        "1 (Cut/side; gap 3): level none, minimum TTC 2.00 s; nearest 6.0 s after its start, A 6.0 m behind the EGO and "
-        "4.3 m to its left, the EGO at 16.6 m/s and A at 15.2 m/s; beyond the limits of off_road; It does not brake."
+        "1 (Cut/side; gap 3): level none, minimum TTC 2.00 s; nearest 6.0 s after its start, A 6.0 m behind the EGO "
+        "and 4.3 m to its left, the EGO at 16.6 m/s and A at 15.2 m/s; beyond the limits of off_road; "
+        "It does not brake."
     )
