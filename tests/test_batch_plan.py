@@ -107,8 +107,8 @@ def test_an_id_hangs_on_all_that_shapes_an_episode_and_on_nothing_else() -> None
         ({"inputs": ["motorway"], "settings": {"atempts": 3}}, "'atempts'"),
         ({"inputs": ["motorway"], "vary": {"atempts": [3]}}, "'atempts'"),
         ({"inputs": ["motorway"], "vary": {"attempts": []}}, "bad 'vary.attempts'"),
-        ({"inputs": ["motorway"], "settings": {"ego": "idm"}}, "a plan says it as 'egos'"),
-        ({"inputs": ["motorway"], "vary": {"seed": [1]}}, "a plan says it as 'seeds'"),
+        ({"inputs": ["motorway"], "settings": {"ego": "idm"}}, "in a plan, write 'egos' instead"),
+        ({"inputs": ["motorway"], "vary": {"seed": [1]}}, "in a plan, write 'seeds' instead"),
         ({"inputs": ["motorway"], "settings": {"attempts": 3}, "vary": {"attempts": [1]}}, "keep one"),
     ],
 )

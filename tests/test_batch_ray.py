@@ -142,7 +142,7 @@ def test_a_crash_rate_of_another_content_on_a_node_is_refused(tmp_path: Path) ->
 def test_a_node_that_lacks_something_says_what(tmp_path: Path) -> None:
     assert unfit(Needs({}, (), ("idm", "ego_samples:CalmEgo"))) == ""
     other = unfit(Needs({"libsumo": "0.1"}, (), ()))
-    assert other == "it has other versions: libsumo 1.28.0 there, 0.1 here; install the same on all"
+    assert other == "it has other versions: libsumo 1.28.0 there, 0.1 here; install the same versions on all nodes"
     assert "No module named 'nowhere'" in unfit(Needs({}, (), ("nowhere:Mine",)))
     assert "no file" in unfit(Needs({}, ((tmp_path / "b.net.xml", "0" * 64, None),), ()))
 

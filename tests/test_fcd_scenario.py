@@ -90,8 +90,8 @@ def test_bumpers_become_centres_and_persons_stay(tmp_path: Path) -> None:
     [
         (text_of(CAR.replace('id="a"', 'id="b"')), "There is no vehicle 'a' in .*; it has b."),
         (text_of(CAR.replace("eastbound_0", "elsewhere_0")), "is on no lane of two_way.net.xml"),
-        (text_of(CAR.replace('x="12.5"', 'x="nan"')), "has nan for x, which is no finite number"),
-        (text_of(CAR.replace('angle="90"', "")), "is no FCD of SUMO"),
+        (text_of(CAR.replace('x="12.5"', 'x="nan"')), "has nan for x, which is not a finite number"),
+        (text_of(CAR.replace('angle="90"', "")), "is not SUMO's FCD"),
         (text_of(), "has no vehicle in a timestep"),
         (text_of(CAR).replace('time="1.00"', 'time="inf"'), "a timestep at inf"),
         (text_of(CAR).replace('time="1.00"', 'time="nan"'), "a timestep at nan"),

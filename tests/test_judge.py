@@ -112,7 +112,7 @@ def test_other_commands_say_how_to_bring_a_run_of_schema_1_up_to_date(
 def test_a_run_without_levels_is_too_old(program: Program, runs: Runs, tmp_path: Path) -> None:
     as_schema_1(tmp_path / "old", runs, verdict_version=1)
     done = program.here("judge", tmp_path / "old")
-    assert done.status == 1 and "was written before verdicts had levels: run it again." in done.err
+    assert done.status == 1 and "was written before verdicts had levels: rerun it." in done.err
 
 
 @pytest.mark.parametrize(

@@ -93,8 +93,8 @@ def test_what_changes_motions_is_told_from_what_only_shows(tmp_path: Path) -> No
         "step-length": "0.1", "log-file": "l.txt", "load-state": "s.xml", "start": "true", "weight-files": "w.xml"
     }  # fmt: skip
     assert read_sumocfg(write_configuration(tmp_path / "c.sumocfg", given)).notes == (
-        "Not kept of c.sumocfg, as this program sets them itself: log=l.txt, start=true.",
-        "Not kept of c.sumocfg, so traffic moves otherwise than in SUMO: load-state=s.xml, weight-files=w.xml.",
+        "Not kept of c.sumocfg, because this program sets them itself: log=l.txt, start=true.",
+        "Not kept of c.sumocfg, so traffic moves differently than in SUMO: load-state=s.xml, weight-files=w.xml.",
     )
 
 

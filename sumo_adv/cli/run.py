@@ -248,7 +248,7 @@ def minimise(
     ] = None,
     attempts: Annotated[int, typer.Option(min=1, help="Maximum number of simulations.")] = MINIMISE_ATTEMPTS,
     ego: Annotated[
-        str | None, typer.Option(help="Needed if a class drove the run: the class again, module:Class.")
+        str | None, typer.Option(help="The class that drove the run, module:Class; a replay needs it.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/RUN-mildest).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,
