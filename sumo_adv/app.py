@@ -284,7 +284,7 @@ def _with_request(settings: Settings) -> Settings:
 
     words = checked_words(settings.ask)
     if settings.player("analyzer") is None:
-        raise needs_model("An attack asked for in words", words)
+        raise needs_model("An attack in words", words)
     return settings.model_copy(update={"ask": words})
 
 

@@ -176,7 +176,7 @@ def test_exports_are_those_of_the_command_line(tmp_path: Path) -> None:
     assert (tmp_path / "a.csv").read_text().startswith("time_s,vehicle,")
     with pytest.raises(UsageError, match="already exists"):
         result.export(tmp_path / "a.csv", "csv")
-    with pytest.raises(UsageError, match="'video' is not a valid Format of an export"):
+    with pytest.raises(UsageError, match="'video' is not a valid Format for an export"):
         result.export(tmp_path / "b", "video")
 
 

@@ -167,7 +167,7 @@ def test_what_takes_no_recording_says_how_to_convert_it(tmp_path: Path) -> None:
         ((*LANES, CAR), "has no planning problem"),
         ((*LANES, PROBLEM, '<dynamicObstacle id="5"/>'), "dynamicObstacle 5 has no initialState"),
         ((*LANES, PROBLEM.replace("12.0", "fast")), "could not convert"),
-        ((*LANES, PROBLEM, "<open>"), "no CommonRoad scenario"),
+        ((*LANES, PROBLEM, "<open>"), "not a CommonRoad scenario"),
     ],
 )
 def test_what_cannot_be_read_is_one_sentence(parts: tuple[str, ...], says: str, tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def test_the_command_says_what_is_wrong_and_exits_with_3(program: Program) -> No
 
 def test_wrong_use_of_the_command(program: Program) -> None:
     done = program.here("doctor", "--scenario", "leader_two_lanes")
-    assert (done.status, "name the driver as well" in done.err) == (2, True)
+    assert (done.status, "give --ego, too" in done.err) == (2, True)
     done = program.here("doctor", "--ego", "idm", "--llm", "mine")
     assert (done.status, "leave out --llm and --memory" in done.err) == (2, True)
     with pytest.raises(UsageError, match="There is no ego 'wild'"):

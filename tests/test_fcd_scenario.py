@@ -96,7 +96,7 @@ def test_bumpers_become_centres_and_persons_stay(tmp_path: Path) -> None:
         (text_of(CAR).replace('time="1.00"', 'time="inf"'), "a timestep at inf"),
         (text_of(CAR).replace('time="1.00"', 'time="nan"'), "a timestep at nan"),
         (text_of(CAR).replace('time="1.00"', f'time="1{"0" * 400}"'), "a timestep at 1000"),
-        (text_of(CAR.replace('x="12.5"', 'x="1e308"')), "no place on a map"),
+        (text_of(CAR.replace('x="12.5"', 'x="1e308"')), "not a place on a map"),
         (text_of(CAR).replace("</fcd-export>", AT_NIGHT), "more than 2e.07 states"),
         ('<?xml version="1.0" encoding="klingon"?>' + text_of(CAR), "written in 'klingon': write it in UTF-8"),
         ("<fcd-export><timestep", "is not valid XML"),

@@ -232,7 +232,7 @@ TABLE_COLUMNS: tuple[Column, ...] = (
            lambda cell: c.capped_ttc(c.counted_outcome(cell)), raw=True),
     Column("median_min_ttc", "median [s]", "Min TTC", "of the same values", MEDIAN,
            lambda cell: c.capped_ttc(c.counted_outcome(cell)), raw=True),
-    Column("mean_min_ttc_apart", "mean where no collision [s]", "Min TTC", "over encounters without a collision", MEAN,
+    Column("mean_min_ttc_apart", "mean without collision [s]", "Min TTC", "over encounters without a collision", MEAN,
            lambda cell: None if c.counted_outcome(cell).get("collided") else c.capped_ttc(c.counted_outcome(cell)),
            raw=True, asked_of_all=False),
     Column("mean_min_ttc_paper", "mean (paper) [s]", "Min TTC", "also 0 if the centres came within 5 m", MEAN,

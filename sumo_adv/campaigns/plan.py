@@ -336,7 +336,7 @@ def checked_plan(value: Any) -> dict[str, Any]:
         ValueError: The value is no such plan.
     """
     if not isinstance(value, dict) or value.get("schema") != PLAN_SCHEMA:
-        raise ValueError(f"it is no table with schema {PLAN_SCHEMA}")
+        raise ValueError(f"it is not a table with schema {PLAN_SCHEMA}")
     for key in ("inputs", "egos", "seeds", "settings"):
         if not isinstance(value.get(key), list):
             raise ValueError(f"it has no list '{key}'")

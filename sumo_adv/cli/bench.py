@@ -45,7 +45,7 @@ BENCH_ATTEMPTS = 25  # attempts of a row in an encounter, unless told otherwise
 DEFAULT_SECONDS: float = Settings.model_fields["seconds"].default
 Attempts = Annotated[int, typer.Option(min=1, help="Budget of every row, per encounter.")]
 Until = Annotated[str, typer.Option(help="Level of success: critical (ttc), collision, valid, strict or serious.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one per core).")]
 Out = Annotated[
     Path | None,
     typer.Option(help="Folder of results (default: runs/bench-<suite>); the same folder continues a bench."),

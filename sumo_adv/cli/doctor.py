@@ -63,14 +63,14 @@ def doctor(
         tell_input(source, seconds or CHECKED_SIMULATION_S, settings_file, as_json=as_json)
         return
     if seconds is not None:
-        raise UsageError("--seconds says how long an INPUT is compared with SUMO: name the INPUT as well.")
+        raise UsageError("--seconds says how long an INPUT is compared with SUMO: give the INPUT, too.")
     if ego is not None:
         if llm is not None or memory is not None:
             raise UsageError("--ego checks a driver alone: leave out --llm and --memory.")
         check_ego(ego, scenario or (), settings_file, as_json=as_json)
         return
     if scenario:
-        raise UsageError("--scenario says where the driver of --ego is checked: name the driver as well.")
+        raise UsageError("--scenario says where the driver of --ego is checked: give --ego, too.")
     findings = list(_findings(llm, memory, settings_file))
     failed = sum(f.level == "fail" for f in findings)
     if as_json:

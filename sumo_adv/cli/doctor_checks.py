@@ -280,7 +280,7 @@ def variables(known: Collection[str], environment: Mapping[str, str] = os.enviro
     given = [name for name in environment if name.upper().startswith(SETTING_PREFIX)]
     unknown = sorted(n for n in given if n.upper().removeprefix(SETTING_PREFIX).split("__")[0].lower() not in known)
     if unknown:
-        state = f"{', '.join(unknown)}: no setting has that name, so it does nothing"
+        state = f"{', '.join(unknown)}: no setting has that name, so the variable has no effect"
         yield DoctorFinding("variables", FindingLevel.WARN, state, "see docs/settings.md for the names")
 
 

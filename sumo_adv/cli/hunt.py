@@ -179,7 +179,7 @@ def _tell(progress: HuntProgress) -> None:
     lost = f", {progress.lost} lost" if progress.lost else ""
     typer.echo(
         f"{progress.seconds_left / 60:5.1f} min left: {progress.encounters} encounters, {progress.attempts} attempts "
-        f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (that or worse): {levels}; "
+        f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (this level or worse): {levels}; "
         f"{progress.left.words}.{newest}"
     )
     if progress.driver_time.calls:

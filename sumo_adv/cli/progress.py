@@ -260,7 +260,7 @@ def line(what: str, value: Any) -> str:
         near = ", ".join(f"{i} ({r})" for i, r, _ in value.ranking)
         earlier = len(value.passed_over)
         passed = f" after passing over {earlier} earlier encounter{'s' * (earlier != 1)}" if earlier else ""
-        left_out = f"; SUMO crashes on {', '.join(value.beside)}, so it does not drive there" if value.beside else ""
+        left_out = f"; only obstacles, because SUMO crashes on them: {', '.join(value.beside)}" if value.beside else ""
         return f"Encounter at {value.time:.1f} s{passed}: ego {value.ego}; near it {near}{left_out}"
     if what == "intents":
         top = value[0]

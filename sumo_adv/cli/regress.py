@@ -42,7 +42,9 @@ def keep(
     ] = None,
     avoid: Annotated[
         Until | None,
-        typer.Option(help="Expect that the attack stays below this level (default: what a reference driver does)."),
+        typer.Option(
+            help="Expect that the attack stays below this level (default: the level with a reference driver)."
+        ),
     ] = None,
     min_ttc: Annotated[float | None, typer.Option(min=0, help="Expect a min TTC above this, s.")] = None,
     no_worse: Annotated[

@@ -125,7 +125,7 @@ def figure(
     out: Annotated[
         Path | None, typer.Option(help="A .png, .svg, .pdf, .gif or .mp4 file (default: figure.png in DIR).")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Draw a run as papers do, without and with the attack, or film the attack. Of a hunt: its failures over time."""
@@ -133,7 +133,7 @@ def figure(
     kind = target.suffix.removeprefix(".").lower()
     if kind not in (*PICTURES, *FILMS):
         kinds = ", ".join(f".{k}" for k in (*PICTURES, *FILMS))
-        raise UsageError(f"{target} does not say what to draw; give --out a file that ends in one of {kinds}.")
+        raise UsageError(f"{target} has an ending that cannot be drawn; give --out a file that ends in one of {kinds}.")
     if target.is_dir() or (target.exists() and not force):
         raise UsageError(f"{target} already exists; give another --out, or --force to replace the file.")
     from sumo_adv.report.index import HUNT

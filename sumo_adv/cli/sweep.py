@@ -26,7 +26,7 @@ CASE_FILE, OUTCOME_FILE = "case.toml", "outcome.json"
 
 def sweep(
     given: Annotated[
-        Path, typer.Argument(metavar="CASE | RUN | SCENARIO", help="A kept case, a run's folder, or what run takes.")
+        Path, typer.Argument(metavar="CASE | RUN | SCENARIO", help="A kept case, a run's folder, or an input of run.")
     ],
     over: Annotated[
         list[str],

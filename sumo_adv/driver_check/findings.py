@@ -52,12 +52,12 @@ FINDING_MEANINGS: Mapping[FindingKind, str] = {
     FindingKind.LEAVES_ROAD: "It does not follow its path; check the frame (headings in rad, counter-clockwise "
     "from +x), the reference point (the centre of the box), and the steering (rad, left positive). In a turn "
     "alone: it is too fast, or looks too far ahead and cuts the corner.",
-    FindingKind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or "
+    FindingKind.LEAVES_LANE: "Its centre is not on a lane that leads its way, so it drives against the traffic or "
     "across it; check the sign of its lateral offsets (left positive) and which lanes it is given.",
-    FindingKind.LINE: "It passes a line at which a light or a right of way has it wait; stop there while "
+    FindingKind.LINE: "It passes a line at which it must wait for a light or the right of way; stop there while "
     "observation.road.must_wait is true (road.stop_lines says how far the line is), or answer LaneSpeed, which "
     "SUMO limits.",
-    FindingKind.STANDS: "It stands where SUMO's driver goes on; check what it takes for an obstacle or for a "
+    FindingKind.STANDS: "It stands where SUMO's driver drives on; check what it takes for an obstacle or for a "
     "stop line, and whether its speeds are in m/s.",
     FindingKind.SLOW: "It covers less than half of the way of SUMO's driver, and a slow ego meets other attacks; "
     "check its desired speed (m/s) and the speed limit that it is given.",

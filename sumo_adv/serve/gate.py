@@ -65,7 +65,7 @@ class Gate:
         self._allow = [_network(text) for text in allow]
         if not _is_loopback(host) and not self._allow:
             raise UsageError(
-                f"TraCI has no log-in: with the host {host} give the addresses that may connect (--allow)."
+                f"TraCI has no log-in: for the host {host}, give the addresses that may connect (--allow)."
             )
         self._seat = ClientSlot(on_event or (lambda event: None))
         self._changed = threading.Condition()

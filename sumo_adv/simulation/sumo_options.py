@@ -124,7 +124,7 @@ COLLISIONS = ("collision.action", "collision.stoptime")
 DECIDED = frozenset((*COLLISIONS, "no-internal-links"))
 """Options of a .sumocfg whose value decides whether they are kept."""
 NO_JUNCTIONS = (
-    "SUMO dies when a vehicle is moved across a junction without lanes of its own; use a network that netconvert made "
+    "SUMO crashes if a vehicle is moved across a junction without lanes of its own; use a network that netconvert made "
     "without --no-internal-links, and leave that option out"
 )
 

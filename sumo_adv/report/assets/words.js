@@ -134,7 +134,7 @@ function restPanel(outcome) {
   const figures = Object.entries(outcome.realism || {}).filter(([, v]) => typeof v === "number" || v === null);
   const versions = data.about.versions ? Object.entries(data.about.versions).map(([k, v]) => `${k} ${v}`).join(", ") : null;
   return panel("All the figures", figures.length ? el("details", null, el("summary", null, "Realism of the adversary's motion"),
-    table(["", ""], figures.map(([k, v]) => ({ cells: [answer(k), v === null ? "too little to say" : String(v)] })))) : null,
+    table(["", ""], figures.map(([k, v]) => ({ cells: [answer(k), v === null ? "too few data" : String(v)] })))) : null,
   el("details", null, el("summary", null, "outcome.json"), el("pre", { tabindex: "0" }, plain(JSON.stringify(outcome, null, 1)))),
   el("details", null, el("summary", null, "Settings"), el("pre", { tabindex: "0" }, plain(JSON.stringify(data.about.settings, null, 1) ?? "unknown"))),
   versions ? el("p", { class: "soft" }, quoted(versions)) : null);
