@@ -305,7 +305,7 @@ def test_one_batch_at_a_time_and_no_other_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()  # nothing was asked for
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "dog.png").touch()
-    with pytest.raises(UsageError, match="something else"), open_store(tmp_path / "photos", staged):
+    with pytest.raises(UsageError, match="something other than"), open_store(tmp_path / "photos", staged):
         pass
     assert [p.name for p in (tmp_path / "photos").iterdir()] == ["dog.png"]
 

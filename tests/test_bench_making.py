@@ -226,7 +226,7 @@ def test_scenario_files_are_a_suite_too(tmp_path: Path) -> None:
         ('schema = 1\nname = "a"\nversion = "1"\ncases = []', "bad 'cases'"),
         ('schema = 1\nname = "a"\nversion = "1"\nsuite = "suite81"\ncases = ["x"]', "names 'x', which is not a case"),
         ('schema = 1\nname = "a"\nversion = "1"\nwhat = 1\ncases = []', "unknown key 'what'"),
-        ('schema = 1\nname = "a"\nversion = "1"\nsuite = "smoke"\ncases = ["x"]', "no list of scenarios"),
+        ('schema = 1\nname = "a"\nversion = "1"\nsuite = "smoke"\ncases = ["x"]', "not a list of scenarios"),
     ],
 )
 def test_a_bad_list_is_one_sentence(text: str, sentence: str, tmp_path: Path) -> None:

@@ -154,7 +154,7 @@ def test_two_benches_do_not_write_into_one_folder_at_once(whole: tuple[Program, 
         (("--row", "expert+ttc=3"), "changes 'ttc', which is the same for all rows"),
         (("--row", "expert+llm=some"), "give llm-a:NAME or llm-f:NAME for a row with a model"),
         (("--row", "llm-f+learn=on"), "the bank of llm-f stays fixed"),
-        (("--row", "expert+shift=nan"), "no number of seconds"),
+        (("--row", "expert+shift=nan"), "not a number of seconds"),
         (("--reference", "oracle"), "--reference 'oracle' is not a row of the table; choose one of: "),
     ],
 )

@@ -185,7 +185,7 @@ def test_what_is_no_input_is_refused(tmp_path: Path) -> None:
     assert "no file" in refusal(tmp_path / "none.net.xml")
     assert "is a folder" in refusal(tmp_path)
     assert "convert it" in refusal(write(tmp_path / "v.tfrecord-00001-of-00150", "x"))
-    assert "is no input" in refusal(write(tmp_path / "notes.txt", "x"))
+    assert "is not an input" in refusal(write(tmp_path / "notes.txt", "x"))
     assert "shipped" in refusal(Path("no_such_place"))
 
 

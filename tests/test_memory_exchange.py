@@ -154,7 +154,7 @@ def test_what_cannot_be_read_is_left_out_when_asked(tmp_path: Path) -> None:
         assert [(each.label, each.mode) for each in refused] == [
             ("aggressive_cut_in", "everything"), ("Emergency Braking", "plain"),
         ]  # fmt: skip
-        assert "is no planner" in refused[1].reason
+        assert "is not a planner" in refused[1].reason
         assert [planner.mode for planner in bank.planners("Emergency Braking")] == ["other"]
 
 
@@ -178,7 +178,7 @@ def test_wrong_and_hostile_folders_are_refused_whole(tmp_path: Path) -> None:
         ("intent.toml", toml + "[planners.plain]\norigin = 1\n", "short texts"),
         ("intent.toml", toml.replace('label = "Em', 'label = "\\u001b[31mEm'), "that can be printed"),
         ("intent.toml", toml + "status = 'asleep'\n", "it is active or retired"),
-        ("intent.toml", toml + "merged_into = 'Nobody'\n", "'Nobody', which is not there"),
+        ("intent.toml", toml + "merged_into = 'Nobody'\n", "'Nobody', which does not exist"),
         ("plain.py", "x" * 300_000, "larger than"),
     ]
     with MemoryBank.open(tmp_path / "mine.sqlite") as bank:
