@@ -169,8 +169,8 @@ def test_two_plans_differ_in_words(tmp_path: Path) -> None:
     after = plan_of(inputs=["motorway", "curved_road"], seeds=[0, 1], egos=["idm"], settings={"attempts": 3})
     changes, common = plan_differences(before.as_dict(), after.as_dict())
     assert changes == [
-        "inputs no longer there: two_way", "inputs new: curved_road", "egos were as the input says, are idm",
-        "seeds were 0, 1, 2, are 0, 1", "settings changed: attempts",
+        "inputs no longer there: two_way", "inputs new: curved_road", "egos were as the input says, now idm",
+        "seeds were 0, 1, 2, now 0, 1", "settings changed: attempts",
     ]  # fmt: skip
     assert common == []
     versions = {"versions": {"sumo_adv": "0"}}, {"versions": {"sumo_adv": "1"}}
