@@ -209,7 +209,7 @@ def main() -> None:
     parser.add_argument("--ego", help="a trial: these drivers for all tables, separated by commas")
     parser.add_argument("--seconds", type=float, help="a trial: the budget of each encounter")
     parser.add_argument("--attempts", type=int, help="a trial: the budget of each encounter")
-    parser.add_argument("--workers", type=int, help="processes (default: one a core)")
+    parser.add_argument("--workers", type=int, help="processes (default: one per core)")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "results", help="folder of the cells")
     given = parser.parse_args()
 

@@ -108,7 +108,7 @@ class Checks:
         assert json.loads(out)["ending"] == "critical", out
         walls = self.podman("run", "--rm", *self._options("run"), "--entrypoint", "python", IMAGE, "-c", WALLS)
         doctor = self.podman("run", "--rm", *self._options("run"), IMAGE, "doctor")
-        assert "which is the second wall" in doctor, doctor
+        assert "this container is the second wall" in doctor, doctor
         return f"sumo-adv run: critical; {walls.strip()}; doctor calls the container the second wall"
 
     def pair(self) -> str:

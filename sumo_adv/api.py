@@ -139,7 +139,7 @@ class Result:
         try:
             kind, driven = Format(format), Variant(variant)
         except ValueError as error:
-            raise UsageError(f"{str(error)[:1].upper()}{str(error)[1:]} of an export.") from error
+            raise UsageError(f"{str(error)[:1].upper()}{str(error)[1:]} for an export.") from error
         piece = read_piece(self.folder)
         for each in chosen(kind):
             target = Path(out) / f"{self.folder.name}{FORMATS[each].ending}" if kind is Format.ALL else Path(out)

@@ -195,7 +195,7 @@ def planned(
     table |= {key: value for key, value in given.items() if value is not None}
     own = table.get("settings", {})
     if not isinstance(own, dict):
-        raise UsageError("'settings' of a plan is a table of settings: write [settings].")
+        raise UsageError("'settings' in a plan must be a table: write [settings].")
     if odd is not None and "odd" in {**own, **settings}:
         raise UsageError(f"The plan has [settings.odd], and the domain {odd} is given as well; keep one.")
     table["settings"] = {**own, **settings, **_domain(odd)}
@@ -276,7 +276,7 @@ def _ego_name(ego: str | type) -> str:
     if isinstance(ego, str):
         return ego
     if not isinstance(ego, type):
-        raise UsageError("Give egos as names (module:Class) or classes: workers make an object of their own.")
+        raise UsageError("Give egos as names (module:Class) or classes: each worker makes its own object.")
     return spec_of(ego)
 
 

@@ -68,7 +68,7 @@ def load(path: Path, record: str | None) -> RunInput:
     commonroad = is_commonroad(path)
     waymo = ".tfrecord" in path.name.lower() and path.is_file()
     if record is not None and not waymo:
-        raise UsageError(f"--record chooses among the records of a TFRecord file, which {path} is not.")
+        raise UsageError(f"--record chooses a record of a TFRecord file, and {path} is not one: leave it out.")
     if not waymo and not commonroad:
         return load_input(path)
     from sumo_adv.womd.commonroad import read_commonroad
@@ -284,7 +284,7 @@ def _with_request(settings: Settings) -> Settings:
 
     words = checked_words(settings.ask)
     if settings.player("analyzer") is None:
-        raise needs_model("An attack asked for in words", words)
+        raise needs_model("An attack in words", words)
     return settings.model_copy(update={"ask": words})
 
 

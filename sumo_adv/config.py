@@ -68,7 +68,7 @@ class ModelSettings(BaseModel):
         if not good or parts.query or parts.fragment:
             raise ValueError("it should be an address such as http://localhost:8000/v1")
         if parts.username or parts.password:
-            raise ValueError("a key does not belong into the address; set SUMO_ADV_LLM_API_KEY")
+            raise ValueError("a key does not belong in the address; set SUMO_ADV_LLM_API_KEY")
         return given.strip().rstrip("/")
 
     @field_validator("llm_api_key")
@@ -254,7 +254,7 @@ class Settings(ModelSettings, BaseSettings):
         if self.ego_latency != "measured" and self.ego_latency > 0 and self.steps(self.ego_latency) == 0:
             raise ValueError(f"ego_latency is less than half a step of {self.step_length:g} s; 0 is none")
         if not self.delays or min(self.delays) < 0:
-            raise ValueError("delays needs one time or more, none of them negative")
+            raise ValueError("delays needs at least one time, and no time may be negative")
         if max(self.delays) > MAX_ATTACK_DELAY_S:
             raise ValueError(f"delays has a time of more than {MAX_ATTACK_DELAY_S:g} s")
         return self
@@ -347,7 +347,7 @@ def refuse_address(table: Mapping[str, Any], said: str, *, own_key: bool = False
     address, known = table.get("llm_base_url"), environ.get(BASE_URL_VARIABLE)
     if address and address != known and (own_key or environ.get(API_KEY_VARIABLE)):
         raise UsageError(
-            f"{said} names llm_base_url, and would be sent your key: "
+            f"{said} names llm_base_url, a server that would receive your key: "
             f"set {BASE_URL_VARIABLE} yourself if you trust that server, or unset {API_KEY_VARIABLE}."
         )
 

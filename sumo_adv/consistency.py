@@ -243,7 +243,7 @@ def _not_finite(m: GivenMotion) -> Fault | None:
         bad = ~(np.abs(values) < MAX_INPUT_COORDINATE_M) if column in ("x", "y") else ~np.isfinite(values)
         if bad.any():
             k = int(bad.argmax())
-            kind = "no finite number" if not math.isfinite(values[k]) else "no place on a map"
+            kind = "not a finite number" if not math.isfinite(values[k]) else "not a place on a map"
             return Fault(m, k, f"has {values[k]:g} for {column}, which is {kind}", "")
     return None
 

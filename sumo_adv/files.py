@@ -161,7 +161,7 @@ def storage_error(error: OSError, place: Path) -> SumoAdvError:
     """
     if error.errno in FULL:
         return StorageError(
-            f"There is no space left to write {place}; free some and say the same again: what finished is kept."
+            f"There is no space left to write {place}; free some and rerun the same command: finished work is kept."
         )
     return UsageError(f"The results in {place} cannot be written ({error.strerror or error}); give another --out.")
 

@@ -52,7 +52,7 @@ def migrated(document: Mapping[str, Any], file: Path) -> dict[str, Any]:
         UsageError: The file is so old that it has no levels.
     """
     if document.get("verdict_version") != LEVELS_VERSION:
-        raise UsageError(f"{file} was written before verdicts had levels: run it again.")
+        raise UsageError(f"{file} was written before verdicts had levels: rerun it.")
     verdict = document["outcome"]
     made = _without(document, GONE) | {
         "schema": OUTCOME_SCHEMA,

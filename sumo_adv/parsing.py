@@ -121,7 +121,7 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
     except ValueError as error:
         raise UsageError(f"{what} {path} is damaged ({error}): restore it from a copy.") from error
     if not isinstance(value, dict):
-        raise UsageError(f"{what} {path} is damaged (it is no object): restore it from a copy.")
+        raise UsageError(f"{what} {path} is damaged (it is not an object): restore it from a copy.")
     return value
 
 

@@ -122,7 +122,7 @@ def test_a_row_with_what_is_no_acceleration_is_refused() -> None:
     text = write_evidence([evidence(acceleration=KNOTS)], names)
     assert read_evidence(text, BRAKING.label, {"plain": BRAKE_PLANNER.hash}, "x.csv")[0].acceleration == KNOTS
     for wrong in ('"[[3.0, 2.0], [1.0, -6.0]]"', "NaN", "[", '"[[1.0]]"'):
-        with pytest.raises(BankError, match=r"x\.csv, line 2, is no evidence"):
+        with pytest.raises(BankError, match=r"x\.csv, line 2, is not evidence"):
             read_evidence(
                 text.replace('"[[1.0, 2.0], [3.0, -6.0]]"', wrong),
                 BRAKING.label,

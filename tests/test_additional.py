@@ -190,7 +190,7 @@ def configured(folder: Path, additional: str) -> Path:
     [
         ("<additional><e1Detector></additional>", "b.add.xml is not valid XML (damaged or cut short)"),
         (None, "a.add.xml names the file"),
-        ('<additional><include href="a.add.xml"/></additional>', "a.add.xml, which includes it: take out one"),
+        ('<additional><include href="a.add.xml"/></additional>', "a.add.xml, which includes it: remove one"),
     ],
 )
 def test_a_bad_included_file_is_one_sentence(program: Program, included: str | None, says: str) -> None:

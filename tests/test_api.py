@@ -174,9 +174,9 @@ def test_exports_are_those_of_the_command_line(tmp_path: Path) -> None:
     result = sumo_adv.load(run_folder("crossing"))
     assert result.export(tmp_path / "a.csv", "csv") == tmp_path / "a.csv"
     assert (tmp_path / "a.csv").read_text().startswith("time_s,vehicle,")
-    with pytest.raises(UsageError, match="is there already"):
+    with pytest.raises(UsageError, match="already exists"):
         result.export(tmp_path / "a.csv", "csv")
-    with pytest.raises(UsageError, match="'video' is not a valid Format of an export"):
+    with pytest.raises(UsageError, match="'video' is not a valid Format for an export"):
         result.export(tmp_path / "b", "video")
 
 
@@ -195,7 +195,7 @@ def test_wrong_use_leaves_nothing(tmp_path: Path) -> None:
         sumo_adv.run("nowhere")
     with pytest.raises(UsageError, match=r"holds no outcome\.json"):
         sumo_adv.load(tmp_path)
-    with pytest.raises(UsageError, match="is there already"):
+    with pytest.raises(UsageError, match="already exists"):
         sumo_adv.run("motorway_cut_in_left", out=run_folder("crossing"))
 
 

@@ -40,5 +40,5 @@ def test_the_engine_of_a_run_serves_the_next_one_unless_it_failed() -> None:
 
 
 def test_a_record_can_only_be_chosen_from_a_file_of_records(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--record chooses among the records"):
+    with pytest.raises(UsageError, match="--record chooses a record of a TFRecord file"):
         app.load(tmp_path / "network.net.xml", "3")

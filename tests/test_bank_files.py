@@ -83,7 +83,7 @@ def test_a_later_migration_keeps_rows_and_one_that_fails_changes_nothing(tmp_pat
             migrate(connection, "bank", migrations=(*MIGRATIONS, later, broken))
         assert connection.execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS) + 1,)
         assert connection.execute("SELECT label, note FROM intents").fetchall() == [("Emergency Braking", None)]
-        with pytest.raises(BankError, match="another line"):
+        with pytest.raises(BankError, match="another branch"):
             migrate(connection, "bank", migrations=(*MIGRATIONS, broken))
     assert "half" not in tables(path)
     with pytest.raises(BankError, match="install a newer"):

@@ -102,7 +102,7 @@ def test_evidence_with_a_number_of_401_digits_is_refused_by_its_line(export: Pat
     assert '""gap"": 12.5' in text
     file.write_text(text.replace('""gap"": 12.5', f'""gap"": {HUGE}'), encoding="utf-8")
     with pytest.raises(
-        BankError, match=r"evidence\.csv, line 2, is no evidence: a whole number in it has more than 64"
+        BankError, match=r"evidence\.csv, line 2, is not evidence: a whole number in it has more than 64"
     ):
         read_folder(export, lambda _: BRAKE_PLANNER.parameters)
 

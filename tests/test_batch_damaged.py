@@ -113,7 +113,7 @@ def test_a_pack_writes_nothing_outside_of_its_run(tmp_path: Path) -> None:
     with zipfile.ZipFile(packs / "0000.zip", "w") as out:
         out.writestr("a/outcome.json", "{}")
         out.writestr("a/../../outside", "mine")
-    with pytest.raises(UsageError, match="no file in a run's folder"):
+    with pytest.raises(UsageError, match="something other than a file in a run's folder"):
         unpack_runs(tmp_path, ["a"], tmp_path / "into", staged)
     assert not (tmp_path / "outside").exists() and not (tmp_path / "into").exists()
     (packs / "0000.zip").write_bytes((packs / "0000.zip").read_bytes()[:-30])

@@ -107,8 +107,8 @@ def test_an_id_hangs_on_all_that_shapes_an_episode_and_on_nothing_else() -> None
         ({"inputs": ["motorway"], "settings": {"atempts": 3}}, "'atempts'"),
         ({"inputs": ["motorway"], "vary": {"atempts": [3]}}, "'atempts'"),
         ({"inputs": ["motorway"], "vary": {"attempts": []}}, "bad 'vary.attempts'"),
-        ({"inputs": ["motorway"], "settings": {"ego": "idm"}}, "a plan says it as 'egos'"),
-        ({"inputs": ["motorway"], "vary": {"seed": [1]}}, "a plan says it as 'seeds'"),
+        ({"inputs": ["motorway"], "settings": {"ego": "idm"}}, "in a plan, write 'egos' instead"),
+        ({"inputs": ["motorway"], "vary": {"seed": [1]}}, "in a plan, write 'seeds' instead"),
         ({"inputs": ["motorway"], "settings": {"attempts": 3}, "vary": {"attempts": [1]}}, "keep one"),
     ],
 )
@@ -169,8 +169,8 @@ def test_two_plans_differ_in_words(tmp_path: Path) -> None:
     after = plan_of(inputs=["motorway", "curved_road"], seeds=[0, 1], egos=["idm"], settings={"attempts": 3})
     changes, common = plan_differences(before.as_dict(), after.as_dict())
     assert changes == [
-        "inputs no longer there: two_way", "inputs new: curved_road", "egos were as the input says, are idm",
-        "seeds were 0, 1, 2, are 0, 1", "settings changed: attempts",
+        "inputs no longer there: two_way", "inputs new: curved_road", "egos were as the input says, now idm",
+        "seeds were 0, 1, 2, now 0, 1", "settings changed: attempts",
     ]  # fmt: skip
     assert common == []
     versions = {"versions": {"sumo_adv": "0"}}, {"versions": {"sumo_adv": "1"}}
@@ -305,7 +305,7 @@ def test_one_batch_at_a_time_and_no_other_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()  # nothing was asked for
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "dog.png").touch()
-    with pytest.raises(UsageError, match="something else"), open_store(tmp_path / "photos", staged):
+    with pytest.raises(UsageError, match="something other than"), open_store(tmp_path / "photos", staged):
         pass
     assert [p.name for p in (tmp_path / "photos").iterdir()] == ["dog.png"]
 

@@ -132,7 +132,7 @@ def test_a_crash_rate_is_the_same_on_a_cluster(program: Program, cluster: Any) -
 
 def test_a_crash_rate_of_another_content_on_a_node_is_refused(tmp_path: Path) -> None:
     plan = RatePlan(ROOT / "benchmarks" / "rate" / "side_by_side.toml", "idm")
-    with pytest.raises(UsageError, match=r"On a node .*another content"):
+    with pytest.raises(UsageError, match=r"On a node, the content of .* differs"):
         block(RateNodeContent(plan, WorkerPace(1, 60.0, 1), "0" * 64), Block("plain", 0, None))
     gone = RatePlan(tmp_path / "gone.toml", "idm")
     with pytest.raises(UsageError, match=r"On a node: There is no file .*gone\.toml"):
@@ -142,7 +142,7 @@ def test_a_crash_rate_of_another_content_on_a_node_is_refused(tmp_path: Path) ->
 def test_a_node_that_lacks_something_says_what(tmp_path: Path) -> None:
     assert unfit(Needs({}, (), ("idm", "ego_samples:CalmEgo"))) == ""
     other = unfit(Needs({"libsumo": "0.1"}, (), ()))
-    assert other == "it has other versions: libsumo 1.28.0 there, 0.1 here; install the same on all"
+    assert other == "it has other versions: libsumo 1.28.0 there, 0.1 here; install the same versions on all nodes"
     assert "No module named 'nowhere'" in unfit(Needs({}, (), ("nowhere:Mine",)))
     assert "no file" in unfit(Needs({}, ((tmp_path / "b.net.xml", "0" * 64, None),), ()))
 
@@ -174,5 +174,5 @@ def test_no_cluster_is_a_sentence(program: Program) -> None:
 def test_another_content_on_a_node_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.net.xml"
     file.write_bytes((ROOT / "networks" / "two_way.net.xml").read_bytes())
-    assert "another content" in wrong_content(file, "0" * 64, None)
+    assert "differs from the plan" in wrong_content(file, "0" * 64, None)
     assert "no file" in wrong_content(tmp_path / "b.net.xml", "0" * 64, None)

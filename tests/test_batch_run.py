@@ -57,7 +57,7 @@ def test_a_batch_leaves_whole_folders_and_a_table_in_the_plans_order(whole: tupl
     program, done = whole
     assert (done.status, done.err) == (0, "")  # no bar, nothing but the summary: this is a pipe
     assert done.out.startswith("4 of 4 episodes: ") and done.out.splitlines()[-1] == "Files: out/results.csv"
-    assert "kB an episode" in done.out
+    assert "kB per episode" in done.out
     rows = table(done.folder)
     assert [(r["network"], r["seed"]) for r in rows] == [(i, s) for i in INPUTS for s in "01"]
     assert list(rows[0]) == [c for c in RESULT_COLUMNS if c not in CLOCK_COLUMNS]
@@ -206,7 +206,7 @@ def test_drivers_that_hang_are_ended_twice_and_fail_by_name(program: Program) ->
         out, err = process.communicate()
     assert process.returncode == 1 and "Traceback" not in err and out.startswith("2 of 2 episodes")
     for row in table(program.folder / "out"):
-        assert row["failure"] == "It failed 2 times: it was not done after 3 s."
+        assert row["failure"] == "It failed 2 times: it did not finish within 3 s."
     assert left_of(family) == set()
     clean(program)
 
@@ -250,7 +250,7 @@ def test_kill_9_loses_nothing(program: Program, whole: tuple[Program, Done], vic
 
 def test_ctrl_c_lets_finish_what_runs(program: Program, whole: tuple[Program, Done]) -> None:
     done = pressed(program, 1)
-    assert done.status == 1 and "the same command again does the rest" in done.err
+    assert done.status == 1 and "rerun the same command to run the rest" in done.err
     kept = table(done.folder)
     assert 0 < len(kept) < 4 and [r for r in table(whole[1].folder) if r in kept] == kept
     clean(program)

@@ -183,7 +183,7 @@ def test_labels_stand_beside_the_list_and_are_not_frozen(tmp_path: Path) -> None
     assert suite.content == before
     assert suite.cases[0].labels == {"idm": {"collision": ("Straight Lane Shift",), "valid": ()}}
     (folder / "labels.json").write_text(json.dumps({"straight-99": {}}))
-    with pytest.raises(UsageError, match=r"labels 'straight-99', which is no case"):
+    with pytest.raises(UsageError, match=r"labels 'straight-99', which is not a case"):
         load_suite(str(folder))
 
 
@@ -197,7 +197,7 @@ def test_what_people_hold_to_be_most_dangerous_comes_from_a_scenario_or_stands_b
     (records / "labels.json").write_text(json.dumps({"ab.1": {"people": {"annotated": ["Aggressive Cut-in"]}}}))
     assert load_suite(f"womd:{records}").cases[0].labels == {"people": {"annotated": ("Aggressive Cut-in",)}}
     (records / "labels.json").write_text(json.dumps({"cd.2": {}}))
-    with pytest.raises(UsageError, match=r"labels 'cd\.2', which is no case of .*manifest\.csv"):
+    with pytest.raises(UsageError, match=r"labels 'cd\.2', which is not a case of .*manifest\.csv"):
         load_suite(f"womd:{records}")
 
 
@@ -224,9 +224,9 @@ def test_scenario_files_are_a_suite_too(tmp_path: Path) -> None:
         ("cases = [", "not valid TOML"),
         ('schema = 2\nname = "a"\nversion = "1"\ncases = []', "bad 'schema'"),
         ('schema = 1\nname = "a"\nversion = "1"\ncases = []', "bad 'cases'"),
-        ('schema = 1\nname = "a"\nversion = "1"\nsuite = "suite81"\ncases = ["x"]', "names 'x', which is no case"),
+        ('schema = 1\nname = "a"\nversion = "1"\nsuite = "suite81"\ncases = ["x"]', "names 'x', which is not a case"),
         ('schema = 1\nname = "a"\nversion = "1"\nwhat = 1\ncases = []', "unknown key 'what'"),
-        ('schema = 1\nname = "a"\nversion = "1"\nsuite = "smoke"\ncases = ["x"]', "no list of scenarios"),
+        ('schema = 1\nname = "a"\nversion = "1"\nsuite = "smoke"\ncases = ["x"]', "not a list of scenarios"),
     ],
 )
 def test_a_bad_list_is_one_sentence(text: str, sentence: str, tmp_path: Path) -> None:
@@ -256,7 +256,7 @@ def test_what_is_no_suite_is_said_with_those_there_are(tmp_path: Path) -> None:
     (tmp_path / "taken" / "file").touch()
     with pytest.raises(UsageError, match="not empty"):
         make_suite(1, tmp_path / "taken")
-    with pytest.raises(UsageError, match="'my suite' is no name for a suite"):
+    with pytest.raises(UsageError, match="'my suite' is not a valid name for a suite"):
         make_suite(1, tmp_path / "new", name="my suite")
 
 

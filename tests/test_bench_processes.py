@@ -105,7 +105,7 @@ def test_who_kills_a_process_has_failed_and_who_ran_beside_it_has_not(tmp_path: 
 
 def test_a_row_that_hangs_has_failed(tmp_path: Path) -> None:
     bench(tmp_path, Watcher(), deadline=1.0).run([job(tmp_path, "hangs", "raw")], [])
-    assert reasons(tmp_path) == {("hangs", "raw"): "It was not done after 1 s; raise cell_seconds."}
+    assert reasons(tmp_path) == {("hangs", "raw"): "The cell did not finish within 1 s; raise cell_seconds."}
     assert read_cells(tmp_path)[0]["timing"]["total"] >= 1  # it is no cheap row
 
 
@@ -133,7 +133,7 @@ def test_a_cell_that_is_none_is_named(tmp_path: Path, text: str) -> None:
     file = cell_path(tmp_path, "idm", "one", "raw")
     file.parent.mkdir(parents=True)
     file.write_text(text)
-    with pytest.raises(UsageError, match=r"raw\.json .*delete it to have it run again\.$"):
+    with pytest.raises(UsageError, match=r"raw\.json .*delete it to rerun the cell\.$"):
         read_cells(tmp_path)
     file.write_text(json.dumps(dict.fromkeys(("case", "kind", "group", "ego", "row", "seed", "ending"), "x")))
     assert len(read_cells(tmp_path)) == 1

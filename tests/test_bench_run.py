@@ -97,7 +97,7 @@ def test_a_cell_that_is_gone_is_made_again_and_is_the_same(whole: tuple[Program,
         (out / "cells" / "idm" / "t_junction_left_from_stem" / f"{row}.json").unlink()
     kept = (out / "cells" / "idm" / "motorway_cut_in_left" / "expert.json").stat().st_mtime_ns
     done = program.here(*SMALL, "--out", "resumed")
-    assert done.status == 0 and "8 cells, 6 of them there." in done.err
+    assert done.status == 0 and "8 cells, 6 of them done before." in done.err
     after = {row: cell(out, "t_junction_left_from_stem", row) for row in ROWS}
     assert {r: unhurried(c) for r, c in after.items()} == {r: unhurried(c) for r, c in before.items()}
     assert (out / "cells" / "idm" / "motorway_cut_in_left" / "expert.json").stat().st_mtime_ns == kept
@@ -115,9 +115,7 @@ def test_a_folder_holds_the_cells_of_one_bench_only(whole: tuple[Program, Done])
     program, _ = whole
     done = program.here(*SMALL, "--seed", "1", "--out", "out")
     assert done.status == 2
-    assert (
-        done.err == "sumo-adv: out holds cells of another seed: they cannot stand in one table; give another --out.\n"
-    )
+    assert done.err == "sumo-adv: out holds cells of another seed: they cannot share a table; give another --out.\n"
     (program.folder / "mine").mkdir()
     (program.folder / "mine" / "thesis.tex").write_text("")
     done = program.here(*SMALL, "--out", "mine")
@@ -150,14 +148,14 @@ def test_two_benches_do_not_write_into_one_folder_at_once(whole: tuple[Program, 
         (("--ego", ","), "--ego names no driver"),
         (("--set", "proposals"), "--set takes NAME=VALUE"),
         (("--suite", "nowhere.toml"), "nowhere.toml"),
-        (("--suite", "smoke"), "The suite smoke stands alone in a table"),
-        (("--set", "seed=3"), "--set seed is not for all rows of a table; say it as --seed."),
-        (("--set", "learn=off"), "say it as a row, expert+learn=off."),
+        (("--suite", "smoke"), "The suite smoke cannot be combined with others"),
+        (("--set", "seed=3"), "--set seed cannot apply to all rows of a table; use --seed."),
+        (("--set", "learn=off"), "use a row, expert+learn=off."),
         (("--row", "expert+ttc=3"), "changes 'ttc', which is the same for all rows"),
-        (("--row", "expert+llm=some"), "a row with a model is called llm-a:NAME"),
-        (("--row", "llm-f+learn=on"), "llm-f is the row with a bank that stays"),
-        (("--row", "expert+shift=nan"), "no number of seconds"),
-        (("--reference", "oracle"), "--reference 'oracle' is none of the table's rows: "),
+        (("--row", "expert+llm=some"), "give llm-a:NAME or llm-f:NAME for a row with a model"),
+        (("--row", "llm-f+learn=on"), "the bank of llm-f stays fixed"),
+        (("--row", "expert+shift=nan"), "not a number of seconds"),
+        (("--reference", "oracle"), "--reference 'oracle' is not a row of the table; choose one of: "),
     ],
 )
 def test_what_there_is_not_is_refused_before_anything_runs(

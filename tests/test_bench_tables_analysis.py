@@ -104,7 +104,7 @@ def test_the_oracle_counts_where_a_suite_s_own_labels_say_otherwise_and_a_note_t
     """The suite's: a and b share the cut-in with the oracle, d the turn; c is a lane shift there."""
     analysis = analyze([*expert(), *oracle()], cases(), title="Made")
     assert score(analysis, CHANCE).accuracy.value == pytest.approx(0.625)
-    assert len(analysis.notes) == 1 and "in 3 of 4 encounters; the oracle's count" in analysis.notes[0]
+    assert len(analysis.notes) == 1 and "in 3 of 4 encounters. The oracle's labels count" in analysis.notes[0]
 
 
 def test_without_labels_the_oracles_cell_says_them() -> None:
@@ -165,7 +165,7 @@ def test_a_miss_of_a_tie_is_spread_over_it() -> None:
 
 def test_nothing_to_judge_is_said() -> None:
     analysis = analyze(expert(), cases({}), title="Made")
-    assert analysis.parts == () and any("Nothing is labelled for idm" in note for note in analysis.notes)
+    assert analysis.parts == () and any("No encounter has a label for idm" in note for note in analysis.notes)
 
 
 def test_files(tmp_path: Path) -> None:

@@ -86,8 +86,8 @@ def test_an_ego_that_lets_go_says_so() -> None:
         pytest.approx(2.9), pytest.approx(3.9), pytest.approx(4.5),
     )  # fmt: skip
     assert cause.sentence == (
-        f"Your driver braked in time, at 4.5 m/s2, and let go {cause.moment - 3.9:.1f} s before the contact; "
-        "held, it would have been enough."
+        f"Your driver braked in time, at 4.5 m/s2, and released the brake {cause.moment - 3.9:.1f} s before the "
+        "contact; held, that braking would have been enough."
     )
 
 
@@ -148,7 +148,8 @@ def test_a_contact_that_braking_in_time_does_not_avoid_says_how_the_careful_driv
     assert cause is not None and (cause.kind, cause.careful) == (CauseKind.UNFORESEEABLE, pytest.approx(2.85))
     assert cause.moment == pytest.approx(2.0 + 21.7 / 20.0, abs=0.01)
     assert cause.sentence == (
-        "A careful driver would have braked 0.2 s before the contact, and is hit all the same 0.2 s later, at 19.6 m/s."
+        "A careful driver would have braked 0.2 s before the contact, but would still have been hit 0.2 s later, "
+        "at 19.6 m/s."
     )
 
 

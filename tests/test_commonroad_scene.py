@@ -205,5 +205,5 @@ def test_commonroad_io_reads_back_what_it_writes(scene: Scene, tmp_path: Path) -
 
 def test_without_a_path_there_is_no_scene() -> None:
     ego = VehicleState("ego", 0.0, 0.0, 0.0, 1.0, 0.0, 5.0, 2.0, "")
-    with pytest.raises(UsageError, match="Off the road there is no CommonRoad scene"):
+    with pytest.raises(UsageError, match="Off the road, there is no CommonRoad scene"):
         Scenes()(replace(Observation(0.0, 0.1, ego, ()), road=Road(13.9)))

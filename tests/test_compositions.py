@@ -93,7 +93,7 @@ def test_a_composition_follows_an_intent_that_is_merged(tmp_path: Path) -> None:
         ('role = "block_left"', 'role = "ram"', "the role of a part"),
         ('role = "block_left"', 'role = "collider"', "a collider, then supports"),
         ("succeeded = 2", "succeeded = -2", "whole numbers of 0 or more"),
-        ("succeeded = 2", "succeeded = true", "succeeded in a composition is of another kind"),
+        ("succeeded = 2", "succeeded = true", "succeeded in a composition has the wrong type"),
         ("succeeded = 2", "succeeded = 2\nplanner = 'import os'", "and nothing else"),
         ('label = "Trap"', 'label = "squeeze"', "holds a composition twice"),
         ('label = "Trap"', 'label = "\\u001b[31mTrap"', "that can be printed"),

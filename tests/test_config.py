@@ -19,8 +19,8 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
     ("given", "says"),
     [
         ({"step_length": 0.5, "replan": 0.1}, "replan is shorter than a step of 0.5 s"),
-        ({"delays": ()}, "delays needs one time or more"),
-        ({"delays": (-3.0,)}, "none of them negative"),
+        ({"delays": ()}, "delays needs at least one time"),
+        ({"delays": (-3.0,)}, "no time may be negative"),
         ({"attempts": 0}, "attempts"),
         ({"trigger": -1.0}, "trigger"),
     ],

@@ -67,8 +67,8 @@ def scaled(factor: float) -> Callable[[GivenMotion], GivenMotion]:
         (scaled(3.28084), "a size of 14.7638 by 5.90551 m: sizes look like feet"),
         (scaled(100.0), "a size of 450 by 180 m: sizes look like centimetres"),
         (lambda m: replace(m, length=1.8, width=4.5), "a size of 1.8 by 4.5 m: length and width look swapped"),
-        (lambda m: replace(m, y=np.full(60, 1e12)), "has 1e+12 for y, which is no place on a map"),
-        (lambda m: replace(m, x=np.where(TIME == 0.7, np.inf, m.x)), "has inf for x, which is no finite number"),
+        (lambda m: replace(m, y=np.full(60, 1e12)), "has 1e+12 for y, which is not a place on a map"),
+        (lambda m: replace(m, x=np.where(TIME == 0.7, np.inf, m.x)), "has inf for x, which is not a finite number"),
         (lambda m: replace(m, speed=np.where(TIME == 0.7, np.nan, m.speed)), "has nan for speed"),
     ],
 )  # fmt: skip

@@ -105,12 +105,12 @@ def test_motions_are_apart_from_where_they_part() -> None:
 
 
 def test_a_planner_that_plans_in_each_fifth_step_has_the_mean_of_its_plans() -> None:
-    """60 ms in each fifth step and 1 ms in the others: (60 + 4 * 1) / 5 = 12.8 ms in the mean."""
+    """60 ms in each fifth step and 1 ms in the others: (60 + 4 * 1) / 5 = 12.8 ms on average."""
     times = answer_times([replace(IDM, act=np.tile([0.06, 0.001, 0.001, 0.001, 0.001], 20))])
     assert times is not None and (times.count, times.plans) == (100, 20)
     assert (times.mean, times.median, times.p99, times.plan_mean) == pytest.approx((12.8, 1.0, 60.0, 60.0))
-    words = "An answer takes 13 ms in the mean (median 1 ms, 99 % within 60 ms)."
-    assert times.words == f"{words} One in 5 is a plan, which takes 60 ms in the mean."
+    words = "An answer takes 13 ms on average (median 1 ms, 99 % within 60 ms)."
+    assert times.words == f"{words} One in 5 is a plan, which takes 60 ms on average."
     assert answer_times([IDM]) is None
 
 
@@ -210,7 +210,7 @@ def test_the_command_says_what_is_wrong_and_exits_with_3(program: Program) -> No
 
 def test_wrong_use_of_the_command(program: Program) -> None:
     done = program.here("doctor", "--scenario", "leader_two_lanes")
-    assert (done.status, "name the driver as well" in done.err) == (2, True)
+    assert (done.status, "give --ego, too" in done.err) == (2, True)
     done = program.here("doctor", "--ego", "idm", "--llm", "mine")
     assert (done.status, "leave out --llm and --memory" in done.err) == (2, True)
     with pytest.raises(UsageError, match="There is no ego 'wild'"):

@@ -138,7 +138,7 @@ def test_a_measured_answer_of_less_than_half_a_step_is_not_late() -> None:
 
 
 def test_a_driver_of_sumo_has_no_sensors_and_a_latency_is_at_least_half_a_step() -> None:
-    with pytest.raises(UsageError, match=r"'idm' is driven by SUMO or by a log, which look at no observation"):
+    with pytest.raises(UsageError, match=r"'idm' is driven by SUMO or by a log, which use no observation"):
         with_sensors(make_ego("idm", {}), load_settings(None, ego_latency=0.1))
     with pytest.raises(UsageError, match=r"ego_latency is less than half a step of 0\.1 s"):
         load_settings(None, ego_latency=0.02)

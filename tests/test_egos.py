@@ -445,7 +445,9 @@ def test_numbers_of_numpy_are_numbers() -> None:
 
     assert answered(Steer(np.float32(0.5), np.array(0.25))) == Steer(0.5, 0.25)  # type: ignore[arg-type]
     assert answered(LaneSpeed(np.int64(1), 3)) == LaneSpeed(1, 3)  # type: ignore[arg-type]
-    with pytest.raises(SimulationError, match=r"at 3\.0 s; a number of it is of the type ndarray: say float\(\.\.\.\)"):
+    with pytest.raises(
+        SimulationError, match=r"at 3\.0 s; one of its numbers has the type ndarray: use float\(\.\.\.\)"
+    ):
         answered(Steer(np.array([0.0, 1.0]), 0.0))  # type: ignore[arg-type]
 
 

@@ -47,7 +47,7 @@ def test_a_suite_of_them_is_exported_once_it_has_run(hunted: Path, program: Prog
     kept = program.here("keep", hunted / "failures", "--suite", "suite")
     assert kept.status == 0, kept.err
     error = CliRunner().invoke(app, ["export", str(program.folder / "suite"), "--format", "csv"]).exception
-    assert isinstance(error, UsageError) and "what regress wrote of a suite" in str(error)
+    assert isinstance(error, UsageError) and "the results of regress" in str(error)
     assert program.here("regress", "suite", "--ego", "idm", "--workers", "1", "--out", "ran").status in (0, 3)
     made = exported(program.folder / "ran", "csv")
     assert {Path(each["out"]).stem for each in made} == {p.name for p in (program.folder / "ran" / "runs").iterdir()}

@@ -158,7 +158,7 @@ def test_a_file_is_written_once(tmp_path: Path, ending: str) -> None:
     text = (gzip.decompress(data) if ending.endswith("gz") else data).decode()
     assert text == table(read_piece(folder))
     error = run(folder, "--format", "csv", "--out", target)[2]
-    assert isinstance(error, UsageError) and "is there already" in str(error)
+    assert isinstance(error, UsageError) and "already exists" in str(error)
     assert run(folder, "--format", "csv", "--out", target, "--force")[0] == 0
     assert target.read_bytes() == data
     assert [p.name for p in target.parent.iterdir()] == [target.name]

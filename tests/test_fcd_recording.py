@@ -171,7 +171,7 @@ def test_a_type_that_traci_copied_keeps_its_size(program: Program, world: World)
 def test_a_type_that_no_file_has_is_named(program: Program, world: World) -> None:
     recording, network = world.record("fcd.xml"), world.folder / "geo.net.xml"
     done = program.here("import", recording, "--network", network, "--ego", "ego", "--out", "made")
-    assert "No file says the size of the types bike, small, lorry, bus: 5 by 1.8 m are taken" in done.err
+    assert "No file says the size of the types bike, small, lorry, bus: 5 by 1.8 m are assumed" in done.err
 
 
 def changed(world: World, change: tuple[str, str]) -> Path:
@@ -187,7 +187,7 @@ def changed(world: World, change: tuple[str, str]) -> Path:
         (('<timestep time="0.20">', '<timestep time="0.05">'), "the timestep at 0.05 s comes after 0.1 s"),
         (('<timestep time="0.20">', '<timestep time="0.24">'), "has no even steps"),
         (('id="lorry"', 'id="bike"'), "the vehicle 'bike' comes twice at 0 s"),
-        (('x="20.00"', 'x="nan"'), "has nan for x, which is no finite number"),
+        (('x="20.00"', 'x="nan"'), "has nan for x, which is not a finite number"),
         (('time="0.10"', 'time="soon"'), "has a bad timestep time 'soon'"),
     ],
 )
@@ -232,7 +232,7 @@ def test_speeds_in_kmh_of_another_tool_are_refused(program: Program, world: Worl
 
 def test_a_csv_of_sumo_is_named(program: Program, world: World) -> None:
     done = imported(program, world, world.record("fcd.csv"))
-    assert done.status == 2 and "is no XML: let SUMO write the FCD into a file whose name ends in .xml" in done.err
+    assert done.status == 2 and "is not XML: let SUMO write the FCD into a file whose name ends in .xml" in done.err
 
 
 def test_what_a_short_recording_becomes_runs(program: Program, world: World) -> None:

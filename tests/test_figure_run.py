@@ -120,8 +120,8 @@ def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
     folder = run_folder("crossing")
     (tmp_path / "a.png").write_bytes(b"")
     for arguments, says in (
-        ((folder, "--out", tmp_path / "a.bmp"), "does not say what to draw"),
-        ((folder, "--out", tmp_path / "a.png"), "is there already"),
+        ((folder, "--out", tmp_path / "a.bmp"), "has an ending that cannot be drawn"),
+        ((folder, "--out", tmp_path / "a.png"), "already exists"),
         ((tmp_path, "--out", tmp_path / "b.png"), "holds no outcome.json"),
     ):
         _, error = figure(*arguments)

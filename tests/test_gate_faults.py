@@ -50,7 +50,7 @@ def test_a_late_client_gets_the_next_turn_and_its_close_ends_only_itself(tmp_pat
         simulation.step()
         assert simulation.gate.stepped_by is Stepper.CLIENT
         simulation.step(4)
-        assert simulation.sentence_of(EventKind.CLOSED).endswith("said close.")
+        assert simulation.sentence_of(EventKind.CLOSED).endswith("closed the connection.")
         simulation.step(5)
         script.end()
         assert (simulation.time(), simulation.gate.client_steps, simulation.gate.stepped_by) == (2.0, 5, Stepper.GATE)
@@ -443,9 +443,9 @@ def test_no_sumo_is_left_behind_when_the_server_is_killed(tmp_path: Path, connec
 def test_other_interfaces_need_addresses(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--allow"):
         Gate("0.0.0.0")
-    with pytest.raises(UsageError, match="is no address or network"):
+    with pytest.raises(UsageError, match="is not an address or network"):
         Gate("0.0.0.0", allow=("everybody",))
-    with pytest.raises(UsageError, match="is no address to listen at"):
+    with pytest.raises(UsageError, match="is not an address to listen at"):
         Gate("nowhere")
     with pytest.raises(UsageError, match="cannot be allowed"):
         Rules(frozenset({"simulation"}))

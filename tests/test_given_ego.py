@@ -42,7 +42,7 @@ def test_a_class_defined_here_drives_and_the_run_says_what_it_answered(tmp_path:
     actions = result.outcome.document["ego_actions"]
     assert set(actions) == {"LaneSpeed", "SUMO", "limited"}
     assert abs(actions["LaneSpeed"] - actions["SUMO"]) <= 1 and 0 < actions["limited"] <= actions["LaneSpeed"]
-    limited = f"limited what the ego's driver asked for in {actions['limited']} of {actions['LaneSpeed']} steps."
+    limited = f"limited the ego's driver in {actions['limited']} of {actions['LaneSpeed']} steps."
     assert f"SUMO's safe speed {limited}" in summary(result.outcome.document, out)
     with pytest.raises(UsageError, match=r"was driven by an object from Python, 'Hurried', which no file holds"):
         trusted_driver(None, "object:Hurried", out)
@@ -78,7 +78,7 @@ def test_what_cannot_drive_is_refused_at_once() -> None:
         pack_driver(type("Lazy", (), {"reset": lambda self, seed: None}))
     held = Slow()
     held.lock = Lock()  # type: ignore[attr-defined]
-    with pytest.raises(UsageError, match=r"cannot be sent to the engine's process .*TypeError.*: make in reset what"):
+    with pytest.raises(UsageError, match=r"cannot be sent to the engine's process .*TypeError.*: make what"):
         pack_driver(held)
     with pytest.raises(UsageError, match=r"could not be made: TypeError: .*'gain'"):
         make_ego("object:Slow", {"gain": 1.0}, pack_driver(Slow))

@@ -221,9 +221,9 @@ def test_a_file_that_sumo_cannot_be_told_is_refused_in_a_sentence(tmp_path: Path
     """SUMO parts a list of files at commas."""
     home = tmp_path / "a,b"
     home.mkdir()
-    with pytest.raises(UsageError, match=r"SUMO cannot be told the file '.*a,b.*': rename it"):
+    with pytest.raises(UsageError, match=r"SUMO cannot open a file with the name '.*a,b.*': rename it"):
         make_spec(home, "signalised_crossing", [vehicle("east", "west_in east_out", 1, 20.0, 8.0)])
-    with pytest.raises(UsageError, match="SUMO cannot be told the file"):
+    with pytest.raises(UsageError, match="SUMO cannot open a file with the name"):
         SimulationSpec(tmp_path / "\udce9.net.xml", (), (), 0.0, 1)
 
 
@@ -237,7 +237,7 @@ def test_sumo_reads_no_other_file_than_was_checked(program: Program) -> None:
     (program.folder / "s.toml").write_text(named, encoding="utf-8")
     done = program.here("run", "s.toml", "--end", "2", "--out", "out")
     assert (done.status, log.exists()) == (2, False)
-    assert "SUMO cannot be told the file" in done.err
+    assert "SUMO cannot open a file with the name" in done.err
     for place in ("~/a.net.xml", "${HOME}.net.xml"):
-        with pytest.raises(UsageError, match="SUMO cannot be told the file"):
+        with pytest.raises(UsageError, match="SUMO cannot open a file with the name"):
             SimulationSpec(Path(place), (), (), 0.0, 1)

@@ -42,7 +42,7 @@ def test_ctrl_c_finishes_what_runs_and_the_same_command_goes_on(program: Program
         done = interrupted(program, process)
     assert (done.status, "Traceback" in done.err) == (1, False)
     assert done.err.startswith("Finishing the episodes that run; Ctrl-C again stops them.")
-    assert "Stopped by Ctrl-C: " in done.out and "The same command goes on." in done.out
+    assert "Stopped by Ctrl-C: " in done.out and "Rerun the same command to continue." in done.out
     before = whole(hunt)
     assert 1 <= len(before) <= 2
     assert len(table(hunt)) == len(list((hunt / "failures").glob("*")))

@@ -151,7 +151,7 @@ def test_traffic_moves_as_in_sumo(folder: Path, crossing: Path, check: Check, ki
     assert done.comparison is not None and done.own_step is None
     assert (done.comparison.vehicles, done.comparison.persons) == (vehicles, persons)
     assert done.same and done.comparison.position < 0.001 and done.comparison.speed < 0.001
-    assert all("as this program sets them itself: device.fcd." in note for note in done.notes)
+    assert all("because this program sets them itself: device.fcd." in note for note in done.notes)
 
 
 def test_the_users_own_collision_teleports_as_in_sumo_and_is_said(folder: Path, crossing: Path, check: Check) -> None:
@@ -222,4 +222,4 @@ def test_missing_and_moved_vehicles_are_named() -> None:
     found = compare_motions(here, sumo, 0.0, (0.0, 0.2), 0.1)
     assert (found.vehicles, found.same_vehicles, found.position, found.speed) == (4, 1, 3.0, 0.5)
     assert (found.missing, found.additional, found.absent, found.worst) == (("lost",), ("new",), ("gap",), ("a", 0.2))
-    assert not found.same and "never here: lost; here alone: new; not in the same steps: gap" in found.sentence
+    assert not found.same and "never here: lost; only here: new; not in the same steps: gap" in found.sentence

@@ -185,7 +185,7 @@ def test_what_is_no_input_is_refused(tmp_path: Path) -> None:
     assert "no file" in refusal(tmp_path / "none.net.xml")
     assert "is a folder" in refusal(tmp_path)
     assert "convert it" in refusal(write(tmp_path / "v.tfrecord-00001-of-00150", "x"))
-    assert "is no input" in refusal(write(tmp_path / "notes.txt", "x"))
+    assert "is not an input" in refusal(write(tmp_path / "notes.txt", "x"))
     assert "shipped" in refusal(Path("no_such_place"))
 
 
@@ -241,7 +241,7 @@ def test_a_sumocfg_keeps_its_options_and_names_those_that_it_cannot_keep(tmp_pat
         "step-method.ballistic": "true", "time-to-teleport": "90", "collision.action": "teleport"
     }  # fmt: skip
     assert own_simulation(loaded) == {"seed": 7, "step_length": 0.05}
-    assert loaded.notes == ("Not kept of own.sumocfg, as this program sets them itself: fcd-output=fcd.xml.",)
+    assert loaded.notes == ("Not kept of own.sumocfg, because this program sets them itself: fcd-output=fcd.xml.",)
 
 
 def test_collisions_are_as_configured_where_an_attack_can_be_told_apart(tmp_path: Path) -> None:
@@ -303,7 +303,7 @@ def test_a_network_alone_brings_no_options_of_its_own(tmp_path: Path) -> None:
 
 def test_options_of_sumo_are_name_and_value_and_have_one_place() -> None:
     assert parse_options(["time-to-teleport=300", "--scale=2"]) == {"time-to-teleport": "300", "scale": "2"}
-    with pytest.raises(UsageError, match="takes NAME=VALUE, as in time-to-teleport=300, and not 'scale'"):
+    with pytest.raises(UsageError, match="takes NAME=VALUE, such as time-to-teleport=300, not 'scale'"):
         parse_options(["scale"])
     with pytest.raises(UsageError, match="'seed' cannot be passed through: use --seed"):
         refuse({"seed": "3"})

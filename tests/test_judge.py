@@ -112,14 +112,14 @@ def test_other_commands_say_how_to_bring_a_run_of_schema_1_up_to_date(
 def test_a_run_without_levels_is_too_old(program: Program, runs: Runs, tmp_path: Path) -> None:
     as_schema_1(tmp_path / "old", runs, verdict_version=1)
     done = program.here("judge", tmp_path / "old")
-    assert done.status == 1 and "was written before verdicts had levels: run it again." in done.err
+    assert done.status == 1 and "was written before verdicts had levels: rerun it." in done.err
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         ((), "Give folders of runs, or --cut-ins FILE"),
-        (("nowhere",), "is no folder"),
+        (("nowhere",), "is not a folder"),
         (("--cut-ins", "nowhere.csv"), "cannot be read"),
         (("home", "--cut-ins", "nowhere.csv"), "not both"),
     ],
@@ -145,7 +145,7 @@ def test_cut_ins_come_back_with_the_answers(program: Program) -> None:
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [("a,b\n1,2\n", "needs rows with the columns"), (HEAD + "50,fast,1,1\n", "no number"),
+    [("a,b\n1,2\n", "needs rows with the columns"), (HEAD + "50,fast,1,1\n", "not a number"),
      (HEAD + "50,40,-3,1\n", "a gap and a lateral speed above 0")],
 )  # fmt: skip
 def test_bad_cut_ins_are_refused(program: Program, text: str, says: str) -> None:

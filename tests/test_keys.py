@@ -38,7 +38,7 @@ def test_a_file_may_not_name_the_server_while_the_key_comes_from_elsewhere(
 ) -> None:
     read(file)  # without a key nothing is given away
     monkeypatch.setenv("SUMO_ADV_LLM_API_KEY", "secret-of-mine")
-    with pytest.raises(UsageError, match="names llm_base_url, and would be sent your key") as refused:
+    with pytest.raises(UsageError, match="names llm_base_url, a server that would receive your key") as refused:
         read(file)
     assert "secret-of-mine" not in str(refused.value)
     if file.name != "vary.toml":  # which has two addresses
@@ -50,7 +50,7 @@ def test_an_empty_address_of_the_users_is_none(file: Path, monkeypatch: pytest.M
     """As Docker Compose sets it for a variable without a value: the file's address would be used, with the key."""
     monkeypatch.setenv("SUMO_ADV_LLM_API_KEY", "secret-of-mine")
     monkeypatch.setenv("SUMO_ADV_LLM_BASE_URL", "")
-    with pytest.raises(UsageError, match="names llm_base_url, and would be sent your key"):
+    with pytest.raises(UsageError, match="names llm_base_url, a server that would receive your key"):
         read(file)
 
 
@@ -79,7 +79,7 @@ def test_a_run_with_such_a_file_ends_before_it_asks(program: Program) -> None:
     program.variables = {"SUMO_ADV_LLM_API_KEY": "secret-of-mine"}
     done = program.here("run", "motorway", "--settings", "s.toml", "--out", "out")
     assert done.status == 2
-    assert "would be sent your key" in done.err
+    assert "would receive your key" in done.err
 
 
 @pytest.mark.parametrize("option", ["device.emissions.explicit", "threads", "net-file", "weight-files"])

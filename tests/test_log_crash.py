@@ -22,7 +22,7 @@ def test_one_vehicle_is_left_out_and_named(program: Program, tmp_path: Path) -> 
     routes.write_text(routes.read_text().replace("</routes>", f"{later}</routes>"))
     done = program.here("run", case, "--background", "log", "--attempts", "1", "--learn", "off", "--out", "out")
     assert done.status == 0, done.err
-    assert "SUMO crashes on third, so it does not drive there" in done.out
+    assert "only obstacles, because SUMO crashes on them: third" in done.out
     encounter = done.outcome["encounter"]
     assert encounter["beside"] == ["third"]
     assert "n" in [vehicle["id"] for vehicle in encounter["ranking"]]

@@ -76,8 +76,8 @@ def test_nothing_is_converted_twice(tmp_path: Path) -> None:
     ("name", "text", "sentence"),
     [
         ("town.osm", osm(RAILWAY), "has no road: nothing can be run there"),
-        ("town.osm", "<OpenDRIVE/>", "is no map of its ending: its root element is <OpenDRIVE>, not <osm>"),
-        ("town.xodr", "<osm/>", "is no map of its ending: its root element is <osm>, not <OpenDRIVE>"),
+        ("town.osm", "<OpenDRIVE/>", "is not a map as its ending says: its root element is <OpenDRIVE>, not <osm>"),
+        ("town.xodr", "<osm/>", "is not a map as its ending says: its root element is <osm>, not <OpenDRIVE>"),
         ("town.osm.pbf", "", "is packed in a way that netconvert does not read"),
         ("town.osm", osm((10, "highway", "footway", (1, 2, 3))), "has no road for cars"),
     ],

@@ -57,7 +57,9 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
         program.here("memory", "add", "trail.py", "--label", "trailing along", *use), 2, "already, as the mode 'trail'"
     )
     refused(
-        program.here("memory", "merge", "Trailing Along", "Straight Lane Shift", *use), 2, "Say which: memory merge"
+        program.here("memory", "merge", "Trailing Along", "Straight Lane Shift", *use),
+        2,
+        "Give two intents: memory merge",
     )
     merged = printed_json(
         program.here("memory", "merge", "trailing along", "into", "straight lane shift", *use, "--json")
@@ -131,7 +133,7 @@ def test_verify_runs_a_scenario_again_and_finds_the_evidence_that_is_not_so(prog
     assert (good["ok"], good["rerun"]["ok"]) == (True, True)
     assert 1 <= good["rerun"]["attempts"] <= 3
     assert (bad["ok"], bad["rerun"]["ok"]) == (False, False)
-    assert "did not again" in bad["failure"]
+    assert "but not in" in bad["failure"]
 
 
 def test_calibration_is_printed_and_stored_only_when_asked(program: Program) -> None:

@@ -75,12 +75,12 @@ def test_an_export_replaces_only_an_export(tmp_path: Path) -> None:
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         bank.add(BRAKING, [BRAKE_PLANNER])
         export_bank(bank, out)
-        with pytest.raises(BankError, match="say --force"):
+        with pytest.raises(BankError, match="give --force"):
             export_bank(bank, out)
         bank.add(CUT_IN, [CUT_PLANNER])
         assert export_bank(bank, out, force=True) == 2
         (out / "diary.txt").write_text("mine")
-        with pytest.raises(BankError, match="is no export"):
+        with pytest.raises(BankError, match="is not an export"):
             export_bank(bank, out, force=True)
         assert (out / "diary.txt").read_text() == "mine"
     assert {p.name for p in tmp_path.iterdir()} == {"bank.sqlite", "out"}
@@ -154,7 +154,7 @@ def test_what_cannot_be_read_is_left_out_when_asked(tmp_path: Path) -> None:
         assert [(each.label, each.mode) for each in refused] == [
             ("aggressive_cut_in", "everything"), ("Emergency Braking", "plain"),
         ]  # fmt: skip
-        assert "is no planner" in refused[1].reason
+        assert "is not a planner" in refused[1].reason
         assert [planner.mode for planner in bank.planners("Emergency Braking")] == ["other"]
 
 
@@ -169,8 +169,8 @@ def test_wrong_and_hostile_folders_are_refused_whole(tmp_path: Path) -> None:
     braking = out / "emergency_braking"
     toml, rows = (braking / "intent.toml").read_text(), (braking / "evidence.csv").read_text()
     cases = [
-        ("evidence.csv", rows.replace("plain,straight", "other,straight"), "line 2, is no evidence: there is no plan"),
-        ("evidence.csv", rows.replace(",7\n", ",\n"), "line 2, is no evidence"),
+        ("evidence.csv", rows.replace("plain,straight", "other,straight"), "line 2, is not evidence: there is no plan"),
+        ("evidence.csv", rows.replace(",7\n", ",\n"), "line 2, is not evidence"),
         ("evidence.csv", rows.replace('""closing"": -1.25', '""closing"": NaN'), "a number in it is not finite"),
         ("evidence.csv", rows.replace("planner,", "planer,"), "must have the columns planner,"),
         ("evidence.csv", rows.replace(",1,1,1,0,1,0,", ",1,1,2,0,1,0,"), "1 or 0"),
@@ -178,7 +178,7 @@ def test_wrong_and_hostile_folders_are_refused_whole(tmp_path: Path) -> None:
         ("intent.toml", toml + "[planners.plain]\norigin = 1\n", "short texts"),
         ("intent.toml", toml.replace('label = "Em', 'label = "\\u001b[31mEm'), "that can be printed"),
         ("intent.toml", toml + "status = 'asleep'\n", "it is active or retired"),
-        ("intent.toml", toml + "merged_into = 'Nobody'\n", "'Nobody', which is not there"),
+        ("intent.toml", toml + "merged_into = 'Nobody'\n", "'Nobody', which does not exist"),
         ("plain.py", "x" * 300_000, "larger than"),
     ]
     with MemoryBank.open(tmp_path / "mine.sqlite") as bank:

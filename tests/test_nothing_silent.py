@@ -70,8 +70,8 @@ def test_a_density_beside_own_traffic_is_refused(program: Program, configuration
 
 LEFT = (
     "The step-length of coarse.sumocfg, 1 s, is not kept: this program takes steps of 0.01 to 0.5 s, here of 0.1 s, of "
-    "which 10 make one. Drivers decide at other times then, so motions differ from those of SUMO alone.",
-    "Not kept of coarse.sumocfg, as this program sets them itself: fcd-output=fcd.xml.",
+    "which 10 make one. Drivers then decide at other times, so motions differ from those of SUMO alone.",
+    "Not kept of coarse.sumocfg, because this program sets them itself: fcd-output=fcd.xml.",
 )
 
 

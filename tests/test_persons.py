@@ -232,4 +232,4 @@ def test_names_of_persons_are_checked(tmp_path: Path, caches: Path) -> None:
     with pytest.raises(UsageError, match="names the adversary candidate 'person:unknown', which is not in its demand"):
         load_input(write_case(tmp_path, "person:unknown"))
     done = Program(tmp_path / "run", caches).here("run", write_case(tmp_path, PERSON), "--ego-id", PERSON)
-    assert done.status == 2 and f"'{PERSON}' is no vehicle, so it cannot be the ego" in done.err
+    assert done.status == 2 and f"'{PERSON}' is not a vehicle, so it cannot be the ego" in done.err

@@ -66,7 +66,7 @@ def test_rates_of_levels_from_records() -> None:
     assert estimate.effective_runs == pytest.approx(9 / 2.5)
     table = lines(estimate)
     assert table[0].split()[:4] == ["level", "per", "1000", "h"]
-    assert table[2].split()[:2] == ["collision", "500"] and table[-1] == "Errors before: drift_left 100%"
+    assert table[2].split()[:2] == ["collision", "500"] and table[-1] == "Errors before collisions: drift_left 100%"
 
 
 def test_the_command_goes_on_in_its_folder(program: Program) -> None:

@@ -94,7 +94,7 @@ def test_where_no_node_is_fit_it_is_refused() -> None:
 def test_a_cluster_that_dies_is_one_sentence_and_what_was_done_is_kept() -> None:
     where = dict[str, str]()
     with_ray = pool(ray_samples.dies)
-    with pytest.raises(SumoAdvError, match=r"6379 was lost \(No GCS within 60 seconds\)\. What was finished is kept: "):
+    with pytest.raises(SumoAdvError, match=r"6379 was lost \(No GCS within 60 seconds\)\. Finished work is kept: "):
         run_in(with_ray, where)
     with_ray.close()
     assert where == {"a": "1"}

@@ -156,8 +156,8 @@ HEADER = '{"kind": "sumo_adv recording of a language model", "schema": 1, "model
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (b"", "no recording of this program; give the model.jsonl of a run"),
-        (b"hello\nworld\n", "no recording of this program"),
+        (b"", "not a recording of this program; give the model.jsonl of a run"),
+        (b"hello\nworld\n", "not a recording of this program"),
         (b"\xff\xfe", "not text in utf-8"),
         (HEADER.replace('"schema": 1', '"schema": 2').encode(), "schema 2, but this program reads 1; record it again"),
         (HEADER.encode() + b"{}\n", "Line 2 of the recording"),

@@ -293,7 +293,7 @@ def test_bad_input_is_refused_before_anything_runs(program: Program, suite: Path
         "holds no case": ("regress", "nowhere", "--ego", "idm"),
         "no ego 'idmm'": ("regress", suite, "--ego", "idmm"),
         "not what sumo-adv regress writes": ("regress", suite, "--ego", "idm", "--baseline", "no.json"),
-        "is no folder": ("keep", "nowhere", "--suite", "s"),
+        "is not a folder": ("keep", "nowhere", "--suite", "s"),
     }
     for message, command in cases.items():
         done = program.here(*command)

@@ -50,7 +50,7 @@ def test_what_no_reference_driver_passes_is_left_out_unless_all_are_kept(program
     """No driver stays above a TTC of 30 s when a vehicle crosses its way."""
     asked = ("keep", attacked(), "--suite", "suite", "--name", "crossing", "--min-ttc", "30", "--workers", "1")
     done = program.here(*asked)
-    assert done.status == 0 and "no reference driver passes it (careful: The least TTC is" in done.out
+    assert done.status == 0 and "no reference driver passes it (careful: The minimum TTC is" in done.out
     assert "0 cases into suite, 1 left out" in done.out and not (program.folder / "suite").exists()
     assert program.here(*asked, "--all").status == 0
     case = tomllib.loads((program.folder / "suite" / "crossing" / "case.toml").read_text())
@@ -67,7 +67,7 @@ def test_an_ego_that_stops_far_before_the_adversary_has_not_passed(program: Prog
     done = regress(program, suite, "--ego", ego, "--junit", "out.xml")
     (case,) = results(program.folder / "out")
     assert (done.status, case["result"], case["near"]) == (3, "not reached", False)
-    assert case["min_distance"] > 5.0 and "did not come near it" in case["why"]
+    assert case["min_distance"] > 5.0 and "did not come near the ego" in case["why"]
     (test,) = ElementTree.parse(program.folder / "out.xml").iter("testcase")
     figures = {p.get("name"): p.get("value") for p in test.iter("property")}
     assert float(figures["progress"] or 0) == case["progress"] and float(figures["jerk"] or 0) >= 59.0  # 6 m/s2 at once

@@ -329,4 +329,4 @@ def test_an_intent_whose_planners_all_failed_says_no_infinite_time():
     broken = Prediction("It divides by zero.")
     search.pool = [Proposal("bv", "Near", near.planners[0], {}, 0.0, 0.0, score=9.0, prediction=broken)]
     (intent, *_) = search.ranking([near])
-    assert intent.reason.endswith("least TTC 10.00 s")
+    assert intent.reason.endswith("min TTC 10.00 s")

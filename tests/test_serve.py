@@ -216,7 +216,7 @@ def test_a_port_in_use(program: Program) -> None:
 def test_a_folder_is_not_overwritten(program: Program) -> None:
     arguments = ("serve", "straight_3lane", "--port", "0", "--out", "out", "--patience", "0.1", "--memory", "b.sqlite")
     assert program.here(*arguments).status == 1
-    assert "is there already" in program.here(*arguments).err
+    assert "already exists" in program.here(*arguments).err
     assert program.here(*arguments, "--force").status == 1
     (program.folder / "out" / "serve.json").unlink()
     (program.folder / "out" / "other").write_text("mine")
@@ -229,7 +229,7 @@ def test_a_bridge_that_adds_and_moves_its_own_ego(program: Program) -> None:
         assert server.wait("listening")["added"]
         server.client(TESTS / "serve_bridge.py")
         code, out, err = server.end()
-        assert (code, err) == (0, "") and "'carla0': the program is to add it" in out
+        assert (code, err) == (0, "") and "'carla0': your program must add it" in out
         assert server.events("client")[0]["state"] == "connected" and not server.events("dropped")
         for outcome in server.outcomes():
             assert outcome["ego"]["id"] == "carla0" and outcome["attempts"][0]["ending"] != "ego_left"

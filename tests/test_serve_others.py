@@ -51,13 +51,13 @@ def test_a_client_cannot_have_sumo_write_by_a_parameter(tmp_path: Path) -> None:
         simulation.step(2)
         refused, allowed = script.end().split("then\n")
         by_key, by_length = (
-            "This parameter is not a client's: SUMO could write a file by it.",
+            "A client cannot set this parameter: it could make SUMO write a file.",
             "is not what SUMO 1.28 reads",
         )
         assert len(refused.splitlines()) == 14
         assert all(line == by_key or by_length in line for line in refused.splitlines())
         assert allowed.splitlines()[1:] == ["done"] * 3
-        assert "SUMO could write" not in allowed
+        assert "make SUMO write" not in allowed
     assert not file.exists()
 
 

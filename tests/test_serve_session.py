@@ -177,7 +177,10 @@ def test_a_scene_that_went_as_foreseen_holds(tmp_path: Path) -> None:
         assert watch.changed(tracks, "ahead", "neighbour") == ""
         assert "no longer oncoming but neighbour" in watch.changed(tracks, "ahead", "oncoming")
         moved = {n: replace(t, x=t.x + 6.0) for n, t in tracks.items()}
-        assert watch.changed(moved, "ahead", "neighbour") == "ego is 6.0 m and 0.0 m/s from where it was foreseen"
+        assert (
+            watch.changed(moved, "ahead", "neighbour")
+            == "ego is 6.0 m and 0.0 m/s from its predicted position and speed"
+        )
         case.session.remove("ahead")
         case.steps(2)
         assert watch.changed(tracks, "ahead", "neighbour") == "ahead is gone"

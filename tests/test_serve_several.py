@@ -72,4 +72,4 @@ def test_a_collider_and_its_support_are_driven_together_and_given_back(tmp_path:
 def test_in_real_time_one_adversary_is_the_most(program: Program) -> None:
     done = program.here("serve", "straight_3lane", "--real-time", "--adversaries", "2")
     assert done.status == 2
-    assert "it allows one adversary only: leave out --real-time or --adversaries." in done.err
+    assert "it allows only one adversary: leave out --real-time or --adversaries." in done.err

@@ -47,7 +47,7 @@ def test_a_case_holds_all_adversaries_and_regress_repeats_them(program: Program)
 @pytest.mark.parametrize(
     ("file", "old", "new", "said"),
     [
-        ("case.toml", 'role = "block_right"', 'role = "collider"', "a support is no collider"),
+        ("case.toml", 'role = "block_right"', 'role = "collider"', "a support is not a collider"),
         ("case.toml", 'role = "block_right"', 'role = "ram"', "bad 'attack.supports.0.role'"),
         ("case.toml", f'"{SUPPORT}"', f'"{COLLIDER}"', "each adversary must be another vehicle"),
         ("case.toml", "rate = 0.5", "wings = 2.0", "parameter 'wings'"),

@@ -34,7 +34,7 @@ def test_a_hunt_takes_a_class_and_says_what_it_found(tmp_path: Path) -> None:
     plan = json.loads((tmp_path / "hunt" / "hunt.json").read_text())["plan"]
     assert "ego_samples:CalmEgo" in json.dumps(plan)
     assert repr(result).startswith(f"<sumo_adv.HuntResult of {len(result.rows)} distinct failures in ")
-    with pytest.raises(UsageError, match="workers make an object of their own"):
+    with pytest.raises(UsageError, match="each worker makes its own object"):
         sumo_adv.hunt("motorway_cut_in_left", ego=CalmEgo(), out=tmp_path / "other")  # type: ignore[arg-type]
 
 

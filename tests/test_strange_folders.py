@@ -81,7 +81,7 @@ def test_names_in_an_index_stay_in_the_folder(campaign: Path, name: str) -> None
     index = {"schema": 1, "runs": {name: {"row": {}, "inputs": []}}}
     (campaign / "packs" / "0000.json").write_text(json.dumps(index), encoding="utf-8")
     for read in (packed_rows, lambda folder: unpack_runs(folder, [], folder / "unpacked", staged)):
-        with pytest.raises(UsageError, match="it names what is no file in a folder"):
+        with pytest.raises(UsageError, match="it names something other than a file in a folder"):
             read(campaign)
 
 

@@ -70,7 +70,7 @@ def test_variables_lists_and_short_names(tmp_path: Path) -> None:
         ('<step-length value="-1"/>', "has steps of -1 s"),
         ('<seed value="1e1"/>', "has the seed 1e1: give a whole number from 0 on"),
         ('<seed value="-5"/>', "has the seed -5: give a whole number"),  # SUMO's, but none of numpy
-        ('<no-internal-links value="true"/>', "sets no-internal-links: SUMO dies when a vehicle is moved across"),
+        ('<no-internal-links value="true"/>', "sets no-internal-links: SUMO crashes if a vehicle is moved across"),
     ],
 )
 def test_what_sumo_refuses_is_refused(tmp_path: Path, text: str, says: str) -> None:
@@ -93,14 +93,14 @@ def test_what_changes_motions_is_told_from_what_only_shows(tmp_path: Path) -> No
         "step-length": "0.1", "log-file": "l.txt", "load-state": "s.xml", "start": "true", "weight-files": "w.xml"
     }  # fmt: skip
     assert read_sumocfg(write_configuration(tmp_path / "c.sumocfg", given)).notes == (
-        "Not kept of c.sumocfg, as this program sets them itself: log=l.txt, start=true.",
-        "Not kept of c.sumocfg, so traffic moves otherwise than in SUMO: load-state=s.xml, weight-files=w.xml.",
+        "Not kept of c.sumocfg, because this program sets them itself: log=l.txt, start=true.",
+        "Not kept of c.sumocfg, so traffic moves differently than in SUMO: load-state=s.xml, weight-files=w.xml.",
     )
 
 
 def test_a_network_without_lanes_on_its_junctions_is_refused(tmp_path: Path) -> None:
     bare = make_net(tmp_path, NODES, EDGES, "--no-internal-links", name="bare")
-    with pytest.raises(UsageError, match="has no lanes on its junctions: SUMO dies when a vehicle is moved across"):
+    with pytest.raises(UsageError, match="has no lanes on its junctions: SUMO crashes if a vehicle is moved across"):
         scan_network(bare)
 
 

@@ -241,7 +241,7 @@ def test_convert_writes_a_folder_a_record(program: Program) -> None:
         assert lacking(program.folder / "scenes" / name, FILES) == set()
     assert program.leftovers() == ["scenes", "two.tfrecord"]
     refused = program.here("convert", "two.tfrecord", "--out", "scenes", "--id", "straight", "--no-traffic")
-    assert refused.status == 2 and "scenes/straight is there already" in refused.err
+    assert refused.status == 2 and "scenes/straight already exists" in refused.err
     again = program.here("convert", "two.tfrecord", "--out", "scenes", "--id", "straight", "--force", "--no-traffic")
     assert again.status == 0 and "straight: scenes/straight" in again.out and "signals" in again.out
 
@@ -292,4 +292,4 @@ def test_run_on_a_record(program: Program) -> None:
     assert again.status == 0 and list(cache.rglob("fidelity.json")) == [kept]
     assert kept.stat().st_mtime_ns == stamp
     wrong = program.here("run", "straight_3lane", "--record", "1")
-    assert wrong.status == 2 and "--record chooses among the records" in wrong.err
+    assert wrong.status == 2 and "--record chooses a record of a TFRecord file" in wrong.err

@@ -185,8 +185,8 @@ def bad(change: str) -> bytes:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ("no id", "is no scenario: it has no id or no time stamps"),
-        ("no time", "is no scenario"),
+        ("no id", "is not a scenario: it has no id or no time stamps"),
+        ("no time", "is not a scenario"),
         ("folder id", "cannot be the name of a folder"),
         ("time runs back", "time stamps that do not increase"),
         ("no current", "has no current step"),
@@ -228,10 +228,10 @@ def test_another_message_is_no_scenario(tmp_path: Path) -> None:
     """A tf.Example begins with a message where a Scenario has its time stamps."""
     path = tmp_path / "a.tfrecord"
     path.write_bytes(frame(b"\x0a\x0d\x0a\x0b\x0a\x03key\x12\x04\x1a\x02\x0a\x00"))
-    with pytest.raises(UsageError, match=r"Record 0 of .* is no Scenario message"):
+    with pytest.raises(UsageError, match=r"Record 0 of .* is not a Scenario message"):
         list(read_records(path))
     path.write_bytes(frame(b""))
-    with pytest.raises(UsageError, match=r"Record 0 of .* is no scenario"):
+    with pytest.raises(UsageError, match=r"Record 0 of .* is not a scenario"):
         list(read_records(path))
 
 

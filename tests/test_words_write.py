@@ -109,7 +109,7 @@ def test_a_report_is_read_from_a_file_and_nothing_is_overwritten(tmp_path: Path)
     with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
         run = program(tmp_path, server)
         taken = run.here("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK)
-        assert (taken.status, "my.rou.xml is there already" in taken.err, server.asked) == (2, True, [])
+        assert (taken.status, "my.rou.xml already exists" in taken.err, server.asked) == (2, True, [])
         both = run.here("write", CUT_IN, "--report", "report.txt", "--llm", "gpt-test", *QUICK)
         assert both.status == 2 and "not both" in both.err
         missing = run.here("write", "--report", "none.txt", "--llm", "gpt-test", *QUICK)

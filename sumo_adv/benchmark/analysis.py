@@ -137,7 +137,7 @@ def analyze(
             if truth:
                 parts.append(_part(own_cells, rows, ego, criterion, truth, oracle, reference))
         if ego not in {part.ego for part in parts}:
-            notes.append(f"Nothing is labelled for {ego}: add the row oracle.")
+            notes.append(f"No encounter has a label for {ego}: add the row oracle.")
     return AnalyzerAnalysis(title, reference, tuple(parts), tuple(note for note in notes if note))
 
 
@@ -170,8 +170,8 @@ def _agreement(
     if alike == len(both):
         return ""
     return (
-        f"Against {ego}, by {criterion}: the suite's own labels are of the library of their time and share a behaviour "
-        f"with the oracle's in {alike} of {len(both)} encounters; the oracle's count."
+        f"Against {ego}, by {criterion}: the suite's own labels were made with an earlier library. They share a "
+        f"behaviour with the oracle's labels in {alike} of {len(both)} encounters. The oracle's labels count."
     )
 
 
@@ -322,9 +322,10 @@ SCORES = ("ego", "criterion", "who", "figure", "value", "low", "high", "n", "dif
 CONFUSION = ("ego", "criterion", "who", "label", *ANALYZER_ANSWERS)
 ANALYSIS_NOTE = (
     "Label: the intent that is most dangerous against this ego in simulation, by the share of its candidates that "
-    "collide (criterion collision: feasible, not rear-end; valid: valid ones), then by mean capped min TTC; a tie is a "
-    "set, and any answer in it is right. Answer: the first intent that the analyzer ranks. No answer is wrong. Kappa: "
-    "Cohen's, with chance agreement taken over the sets. Several: the encounters in which more than one intent applies."
+    "collide (criterion collision: feasible, not rear-end; valid: valid ones), then by mean capped min TTC. A tie is a "
+    "set, and any answer in it is right. Answer: the first intent that the analyzer ranks. A missing answer counts as "
+    "wrong. Kappa: Cohen's, with chance agreement taken over the sets. Several: the encounters in which more than one "
+    "intent applies."
 )
 
 
@@ -374,7 +375,7 @@ def _part_lines(part: AccuracyPart, reference: str | None) -> list[str]:
     if part.unlabelled:
         lines += [f"{part.unlabelled} encounters have no label and are left out.", ""]
     if part.by_time:
-        lines += [f"In {part.by_time} no simulation succeeds: there the label is by min TTC alone.", ""]
+        lines += [f"In {part.by_time}, no simulation succeeds, so their label is by min TTC alone.", ""]
     rows = [
         [s.who, str(s.accuracy.n), *(_shown(getattr(s, f)) for f in FIGURES), signed(s.difference)] for s in part.scores
     ]
@@ -383,7 +384,7 @@ def _part_lines(part: AccuracyPart, reference: str | None) -> list[str]:
     if part.calibration:
         risks = list(dict.fromkeys(risk for estimates in part.calibration.values() for risk in estimates))
         rows = [[who, *(_shown(estimates.get(r)) for r in risks)] for who, estimates in part.calibration.items()]
-        lines += ["Success in the oracle's simulations of what the analyzer ranked first, by the risk it gave:", ""]
+        lines += ["Success, in the oracle's simulations, of the intent that the analyzer ranks first, by its risk:", ""]
         lines += grid(["who", *risks], rows)
     for who, matrix in part.confusion.items():
         shown = [a for a in ANALYZER_ANSWERS if any(a in pair for pair in matrix)]
@@ -445,5 +446,5 @@ def analysis_text(analysis: AnalyzerAnalysis, file: Path) -> str:
         rows = [[s.who, str(s.accuracy.n), *(rate(x) for x in (s.accuracy, s.several, s.top2))] for s in part.scores]
         lines = aligned(["who", "n", "accuracy", "several", "top-2"], rows)
         sections.append((f"Against {part.ego}, by {part.criterion}", lines))
-    notes = ["Several: where more than one intent applies.", *analysis.notes]
+    notes = ["Several: the encounters in which more than one intent applies.", *analysis.notes]
     return on_screen(analysis.title, sections, notes, file)

@@ -136,8 +136,8 @@ class Bench:
         """Record the failure of the row that a job was at."""
         if rows := missing_rows(self._setup, job):
             _, since = self._since.get(job.id, (0, time.monotonic()))
-            if "not done after" in why:
-                why = f"It was not done after {self._pace.deadline:g} s; raise cell_seconds."
+            if "did not finish within" in why:
+                why = f"The cell did not finish within {self._pace.deadline:g} s; raise cell_seconds."
             keep_cell(self._setup.folder, failure(self._setup, job, rows[0], why, time.monotonic() - since))
         return Done(job.id, None)
 
@@ -159,9 +159,9 @@ def read_cells(folder: Path) -> list[Cell]:
         try:
             cell = read_json(file)
         except (OSError, ValueError) as error:
-            raise UsageError(f"{file} cannot be read ({error}); delete it to have it run again.") from error
+            raise UsageError(f"{file} cannot be read ({error}); delete it to rerun the cell.") from error
         if not isinstance(cell, dict) or not cell.keys() >= CELL_KEYS:
-            raise UsageError(f"{file} is not a cell of a bench; delete it to have it run again.")
+            raise UsageError(f"{file} is not a cell of a bench; delete it to rerun it.")
         cells.append(cell)
     return cells
 
@@ -279,7 +279,7 @@ def _keep_plan(plan: Mapping[str, Any], folder: Path) -> None:
         changed = [k for k in plan if before.get(k) != plan[k]]
         if changed:
             raise UsageError(
-                f"{folder} holds cells of another {' and '.join(changed)}: they cannot stand in one table; "
+                f"{folder} holds cells of another {' and '.join(changed)}: they cannot share a table; "
                 "give another --out."
             )
         return

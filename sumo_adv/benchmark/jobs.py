@@ -46,9 +46,9 @@ GIVEN_ELSEWHERE = (
 
 ABLATIONS: Mapping[str, str] = {
     "expert": "everything",
-    "expert+learn=off": "no memory: nothing of one encounter is known in the next",
-    "expert+tuner=off+learn=off": "no tuner: the authors' numbers alone",
-    "expert+replan=60+learn=off": "no replanning: one endpoint an attempt",
+    "expert+learn=off": "no memory: nothing is learnt from earlier encounters",
+    "expert+tuner=off+learn=off": "no tuner: only the authors' parameter values",
+    "expert+replan=60+learn=off": "no replanning: one endpoint per attempt",
     "expert+forecast=constant+learn=off": "the ego predicted by constant velocity",
     "expert+shift=-1.5+learn=off": "the trigger 1.5 s early",
     "expert+shift=1.5+learn=off": "the trigger 1.5 s late",
@@ -61,7 +61,9 @@ GROWING = ("", "+learn=off", "+recall=scene")  # a row that learns, its referenc
 
 def sampled(model: str) -> dict[str, str]:
     """Return the rows that ask a model's analyzer a different number of times, with a description of each."""
-    return {f"llm-a:{model}+samples={k}+learn=off": f"{model}, the analyzer asked {k} times" for k in ANALYZER_SAMPLES}
+    return {
+        f"llm-a:{model}+samples={k}+learn=off": f"{model}, the analyzer sampled {k} times" for k in ANALYZER_SAMPLES
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,20 +108,22 @@ def method_of(row: str) -> Method | None:
         return None
     if kind == RAW:
         if changes:
-            raise UsageError(f"The row '{row}' has no settings to change; say just '{kind}'.")
+            raise UsageError(f"The row '{row}' has no settings to change; give '{kind}' alone.")
         return Method(row)
     if kind == "llm-a" and not model:
-        raise UsageError("The row llm-a needs a model: llm-a:NAME; without one it is the row 'expert'.")
+        raise UsageError("The row llm-a needs a model: give llm-a:NAME, or the row 'expert' without a model.")
     settings: dict[str, Any] = {"llm": model} if model else {}
     shift = 0.0
     for change in changes:
         name, equals, value = change.partition("=")
         if not equals or (name != "shift" and name not in Settings.model_fields):
-            raise UsageError(f"The row '{row}' changes '{name}', which is no setting; say it as expert+NAME=VALUE.")
+            raise UsageError(f"The row '{row}' changes '{name}', which is not a setting; give expert+NAME=VALUE.")
         if name in GIVEN_ELSEWHERE:
-            raise UsageError(f"The row '{row}' changes '{name}', which is the same for all rows of a table.")
+            raise UsageError(
+                f"The row '{row}' changes '{name}', which is the same for all rows of a table; leave it out."
+            )
         if name == "llm":
-            raise UsageError(f"The row '{row}' changes 'llm'; a row with a model is called llm-a:NAME or llm-f:NAME.")
+            raise UsageError(f"The row '{row}' changes 'llm'; give llm-a:NAME or llm-f:NAME for a row with a model.")
         if name == "shift":
             shift = _number(row, value)
         else:
@@ -127,15 +131,15 @@ def method_of(row: str) -> Method | None:
     load_settings(None, **settings)  # raises for bad values
     learns = settings.pop("learn", "off" if kind == "llm-f" else "on") == "on"
     if learns and kind == "llm-f":
-        raise UsageError(f"The row '{row}' learns, but llm-f is the row with a bank that stays; say llm-a or expert.")
+        raise UsageError(f"The row '{row}' learns, but the bank of llm-f stays fixed; use llm-a or expert.")
     return Method(row, settings, kind == "llm-f", learns, shift)
 
 
 def growing_banks(rows: Sequence[str]) -> list[str]:
     """Return a sentence for each row that changes its bank from encounter to encounter."""
     return [
-        f"The bank of the row {row} grows from encounter to encounter, so its figures depend on their order; with "
-        "learn=off it stays as it is."
+        f"The bank of the row {row} grows from encounter to encounter, so the row's figures depend on their order; "
+        "with learn=off the bank stays fixed."
         for row in rows
         if (method := method_of(row)) is not None and method.learns
     ]
@@ -147,7 +151,7 @@ def _number(row: str, value: str) -> float:
     except ValueError:
         seconds = math.nan
     if not math.isfinite(seconds):
-        raise UsageError(f"The row '{row}' has shift={value}, which is no number of seconds.")
+        raise UsageError(f"The row '{row}' has shift={value}, which is not a number of seconds.")
     return seconds
 
 

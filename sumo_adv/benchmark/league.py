@@ -29,8 +29,8 @@ from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, paired_mean
 VALID_LEVELS = tuple(str(level) for level in Level if level >= Level.VALID)
 LEAGUE_COLUMNS = ("valid", "strict", "serious", "valid_1", "kinds")
 WARNING = (
-    "Attempts against known and unknown drivers do not compare: the search has the rules of the known ones, and has to "
-    "find out how the unknown ones drive."
+    "Attempts against known and unknown drivers cannot be compared: the search has the rules of the known ones, and "
+    "has to find out how the unknown ones drive."
 )
 
 

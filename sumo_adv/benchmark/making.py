@@ -246,12 +246,16 @@ def make_suite(
         SumoAdvError: ``MAX_TRIES_PER_ENCOUNTER`` candidates held no calm encounter for a place.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise UsageError(f"{folder} is there already and not empty: give a new folder for the suite.")
+        raise UsageError(f"{folder} exists and is not empty: give a new folder for the suite.")
     if not can_fork():
-        raise UsageError("Suites are made where processes can be forked (Linux): make it there and copy the folder.")
+        raise UsageError(
+            "A suite can be made only where processes can be forked (Linux): make it there and copy the folder."
+        )
     name = name or (SHIPPED_SUITE if seed == SHIPPED_SUITE_SEED else f"{SHIPPED_SUITE}-{seed}")
     if not re.fullmatch(NAME_PATTERN, name):
-        raise UsageError(f"'{name}' is no name for a suite: use letters, digits, dots, dashes and underscores.")
+        raise UsageError(
+            f"'{name}' is not a valid name for a suite: use letters, digits, dots, dashes and underscores."
+        )
     began = time.perf_counter()
     folder.parent.mkdir(parents=True, exist_ok=True)
     faults = Counter[str]()  # by fault; '' counts good candidates

@@ -51,7 +51,7 @@ def draw_all(cells: Sequence[Cell], folder: Path, rows: Sequence[str] | None = N
         paths.append(draw_ttc(folder / file_name("ttc", ego), by_row, f"Min TTC against {ego}"))
         timed = {row: part for row, part in by_row.items() if any(_seconds(c) is not None for c in part)}
         if timed:
-            paths.append(draw_seconds(folder / file_name("seconds", ego), timed, f"Time an encounter against {ego}"))
+            paths.append(draw_seconds(folder / file_name("seconds", ego), timed, f"Time per encounter against {ego}"))
         for row, part in by_row.items():
             if samples(part, "speed")[0]:
                 title = f"Raw and generated motion: {row} against {ego}"
@@ -158,7 +158,7 @@ def draw_seconds(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str)
     panel.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
     panel.set_yticks(range(len(by_row)), list(by_row), parse_math=False)
     panel.set_ylim(len(by_row) - 0.5, -0.5)
-    panel.set_xlabel("seconds an encounter, the model included; bar: quartiles, tick and figure: median")
+    panel.set_xlabel("seconds per encounter, including the model; bar: quartiles, tick and figure: median")
     return _save(figure, target, title)
 
 
@@ -251,7 +251,7 @@ def draw_growth(target: Path, steps: Sequence[Step], title: str) -> Path:
         axes[1][0].plot(place, each, ls="", marker="o", ms=3, alpha=0.35, mew=0, color=_look(k)["color"])
     axes[0][0].set_ylim(-0.02, 1.02)
     axes[0][0].set_ylabel("memory hits so far")
-    axes[1][0].set_ylabel(f"seconds an encounter\n(line: mean of the last {MOVING_MEAN_ENCOUNTERS})")
+    axes[1][0].set_ylabel(f"seconds per encounter\n(line: mean of the last {MOVING_MEAN_ENCOUNTERS})")
     axes[1][0].set_ylim(bottom=0)
     axes[1][0].set_xlabel("encounter")
     _legend_beside(axes[0][0])

@@ -108,7 +108,9 @@ def _named(named: Sequence[str]) -> Suite:
             return _listed(listing)
     whole = next((name for name in named if name.startswith(WOMD_PREFIX) or _list_file(name) is not None), None)
     if whole is not None:
-        raise UsageError(f"The suite {whole} stands alone in a table; several --suite are scenario files, or folders.")
+        raise UsageError(
+            f"The suite {whole} cannot be combined with others; repeat --suite only for scenario files or folders."
+        )
     return _scenarios([path for name in named for path in _paths(name)])
 
 
@@ -200,12 +202,12 @@ def _chosen(path: Path, given: _Choice) -> Suite:
     beside = path.parent / given.suite
     chosen_from = _list_file(str(beside) if beside.exists() else given.suite)
     if chosen_from is None or "suite" in read_toml(chosen_from, "The file"):
-        raise UsageError(f"The suite {path} chooses from '{given.suite}', which is no list of scenarios.")
+        raise UsageError(f"The suite {path} chooses from '{given.suite}', which is not a list of scenarios.")
     whole = _listed(chosen_from)
     by_name = {case.name: case for case in whole.cases}
     missing = next((name for name in given.cases if name not in by_name), None)
     if missing is not None:
-        raise UsageError(f"The suite {path} names '{missing}', which is no case of {whole.name}.")
+        raise UsageError(f"The suite {path} names '{missing}', which is not a case of {whole.name}.")
     content = _content({"suite": whole.content, "cases": " ".join(given.cases)})
     return Suite(given.name, given.version, tuple(by_name[name] for name in given.cases), content)
 
@@ -222,7 +224,7 @@ def _labels(path: Path, names: Collection[str], listed: Path) -> LabelsFile:
         ) from error
     unknown = next((name for name in labels if name not in names), None)
     if unknown is not None:
-        raise UsageError(f"{path} labels '{unknown}', which is no case of {listed}.")
+        raise UsageError(f"{path} labels '{unknown}', which is not a case of {listed}.")
     return labels
 
 

@@ -191,8 +191,8 @@ def _missing(
                     f" and {len(gone) - MAX_NAMES_SHOWN} more" if len(gone) > MAX_NAMES_SHOWN else ""
                 )
                 notes.append(
-                    f"{row} against {ego}: {len(gone)} of {len(keys)} cells are missing ({listed}); its figures rest "
-                    "on the others. The same command again runs what is missing."
+                    f"{row} against {ego}: {len(gone)} of {len(keys)} cells are missing ({listed}); its figures use "
+                    "the others. Rerun the same command to run the missing cells."
                 )
     return notes
 
@@ -234,17 +234,19 @@ COLLISION_NOTE = (
 )
 TTC_NOTE = (
     "The paper does not define its TTC nor say how collisions and encounters that never close in are averaged: with "
-    "75 % collisions at 0 s, a mean of 1.08 s would be 4.3 s over the rest. Ours is of oriented boxes in the plane, a "
-    "collision is 0 s and never is 10 s. Its encounters are 81 Waymo records with a raw mean min TTC of 1.62 s and no "
-    "raw collision; in suite81 no encounter is critical before the attack."
+    "75 % collisions at 0 s, a mean of 1.08 s would be 4.3 s over the rest. Ours uses oriented boxes in the plane; a "
+    "collision counts as 0 s and no conflict as 10 s. Its encounters are 81 Waymo records with a raw mean min TTC of "
+    "1.62 s and no raw collision; in suite81 no encounter is critical before the attack."
 )
 REALISM_NOTE = (
-    "The paper gives neither bins nor smoothing nor which samples it pools; ours are 1 m/s and 0.5 m/s2 wide with 0.1 "
-    "added to each, the adversaries' steps up to contact against unattacked vehicles near in the same window."
+    "The paper gives neither bins nor smoothing nor which samples it pools. Our bins are 1 m/s and 0.5 m/s2 wide, with "
+    "0.1 added to each. We compare the adversaries' steps up to contact with unattacked vehicles near the ego in the "
+    "same window."
 )
 ANALYZER_NOTE = (
     "The paper's labels are its authors' own annotations of one given vehicle in each of 81 records; an oracle's label "
-    "is what collides most in simulation against one ego, with ties as sets, and the analyzer picks the vehicle too."
+    "is the intent that collides most often in simulation against one ego, with ties as sets; the analyzer also picks "
+    "the vehicle."
 )
 
 
@@ -378,7 +380,7 @@ def _differences(table: BenchTable, ego: str) -> list[str]:
     head = ["row", "pairs", *(c.title if c.key != "mean_min_ttc" else "mean min TTC [s]" for c in columns)]
     return [
         f"### Differences to `{table.reference}`", "", "Over the encounters that both rows have; p by McNemar's exact "
-        "test for rates and the sign-flip test for means, not corrected for how many there are.", "",
+        "test for rates and the sign-flip test for means, not corrected for multiple comparisons.", "",
         *grid(head, rows),
     ]  # fmt: skip
 

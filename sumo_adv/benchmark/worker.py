@@ -214,7 +214,7 @@ class Bencher(WarmProcesses):
         cell = _empty(self._setup, job, row, str(run.ending), run.reason, run.timing)
         if raw is None:
             return cell
-        return cell | {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
+        return cell | {"ending": "attempts_exhausted", "reason": "The row raw has no attack.", "outcome": raw}
 
 
 def head(setup: BenchSetup, job: BenchJob, row: str) -> dict[str, Any]:

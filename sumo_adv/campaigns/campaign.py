@@ -250,7 +250,9 @@ def _teach(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, 
         try:
             return int(read_json(marker)["written"])
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UsageError(f"{marker} is damaged ({error}); delete it to have the bank taught again.") from error
+            raise UsageError(
+                f"{marker} is damaged ({error}); delete it to write the lessons into the bank again."
+            ) from error
     packed = packed_texts(store.folder, LEARNT_FILE)
 
     def lessons() -> Iterator[Lessons]:

@@ -88,7 +88,7 @@ def unfit(needs: Needs) -> str:
     installed = node_versions(list(needs.versions))
     differing = [f"{k} {installed.get(k)} there, {v} here" for k, v in needs.versions.items() if installed.get(k) != v]
     if differing:
-        return f"it has other versions: {'; '.join(differing)}; install the same on all"
+        return f"it has other versions: {'; '.join(differing)}; install the same versions on all nodes"
     for ego in needs.egos:
         try:
             find_class("ego", ego) if ":" in ego else check_name(ego)
@@ -299,4 +299,6 @@ def wrong_content(path: Path, content: str, record: str | None) -> str:
         same = files_hash(files) == content
     except (SumoAdvError, OSError) as error:
         return f"On this node: {error}"
-    return "" if same else f"On this node {path} has another content than in the plan."
+    return (
+        "" if same else f"On this node, the content of {path} differs from the plan; copy the same file to all nodes."
+    )

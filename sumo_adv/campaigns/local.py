@@ -225,7 +225,7 @@ class LocalWorkers:
             if seen != slot.seen:
                 slot.seen, slot.until = seen, checked_at + self.pace.deadline
             if checked_at > slot.until + uncounted and (slot.job is not None or not slot.ready):
-                self._lose(slot, f"it was not done after {self.pace.deadline:g} s", told, self.hangs)
+                self._lose(slot, f"it did not finish within {self.pace.deadline:g} s", told, self.hangs)
 
     def _lose(
         self, slot: _Slot, why: str, told: Callable[[EpisodeJob, Done], None], tries: int = MAX_EPISODE_TRIES
@@ -238,7 +238,7 @@ class LocalWorkers:
         elif not slot.ready:
             self._died += 1
             if self._died >= MAX_FAILED_STARTS:
-                last = next((line for line in reversed(text.splitlines()) if line.strip()), "they said nothing")
+                last = next((line for line in reversed(text.splitlines()) if line.strip()), "they gave no reason")
                 raise SumoAdvError(f"The worker processes do not start ({last.strip()[:300]}).")
 
     def _retry(

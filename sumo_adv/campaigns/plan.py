@@ -289,7 +289,7 @@ def make_plan(
         raise UsageError(f"{said} {first_fault(error, known)}") from error
     for key in (*file.settings, *file.vary):
         if key in OWN_KEYS:
-            raise UsageError(f"{said} has '{key}' among its settings; a plan says it as '{OWN_KEYS[key]}'.")
+            raise UsageError(f"{said} has '{key}' among its settings; in a plan, write '{OWN_KEYS[key]}' instead.")
     for key in file.vary:
         if key in file.settings:
             raise UsageError(f"{said} has '{key}' both in [settings] and in [vary]; keep one.")
@@ -336,7 +336,7 @@ def checked_plan(value: Any) -> dict[str, Any]:
         ValueError: The value is no such plan.
     """
     if not isinstance(value, dict) or value.get("schema") != PLAN_SCHEMA:
-        raise ValueError(f"it is no table with schema {PLAN_SCHEMA}")
+        raise ValueError(f"it is not a table with schema {PLAN_SCHEMA}")
     for key in ("inputs", "egos", "seeds", "settings"):
         if not isinstance(value.get(key), list):
             raise ValueError(f"it has no list '{key}'")
@@ -344,7 +344,7 @@ def checked_plan(value: Any) -> dict[str, Any]:
         if not isinstance(given, dict) or not all(isinstance(given.get(k), str) for k in ("name", "content", "broken")):
             raise ValueError("an input in it has no name, content and broken")
     if not all(isinstance(variant, dict) for variant in value["settings"]):
-        raise ValueError("its settings are no tables")
+        raise ValueError("its settings are not tables")
     return value
 
 
@@ -362,7 +362,7 @@ def plan_differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple
     changes = _inputs_differ(before["inputs"], now["inputs"])
     for key in ("egos", "seeds"):
         if before[key] != now[key]:
-            changes.append(f"{key} were {_few(before[key])}, are {_few(now[key])}")
+            changes.append(f"{key} were {_few(before[key])}, now {_few(now[key])}")
     if before["settings"] != now["settings"]:
         changes.append(_settings_differ(before["settings"], now["settings"]))
     common = [
@@ -390,7 +390,7 @@ def _inputs_differ(before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[st
 
 def _settings_differ(before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> str:
     if len(before) != len(now):
-        return f"there were {len(before)} variants of the settings, are {len(now)}"
+        return f"there were {len(before)} variants of the settings, now {len(now)}"
     pairs = zip(before, now, strict=True)
     keys = sorted({k for a, b in pairs for k in {*a, *b} if a.get(k) != b.get(k)})
     return f"settings changed: {_few(keys)}"

@@ -204,8 +204,8 @@ class RayPool:
 
     def _cluster_lost(self, why: str) -> SumoAdvError:
         return SumoAdvError(
-            f"The Ray cluster at {self._address} was lost ({why}). What was finished is kept: give the same command "
-            "again when the cluster is back."
+            f"The Ray cluster at {self._address} was lost ({why}). Finished work is kept: rerun the same command "
+            "when the cluster is back."
         )
 
     def _last_words(self) -> str:
@@ -217,7 +217,7 @@ class RayPool:
         return (
             LOG_LINE_ORIGIN.sub("", lines[-1]).partition(". ")[0][:200].rstrip(".")
             if lines
-            else "Ray ended without a word"
+            else "Ray ended without a message"
         )
 
     # -- jobs and nodes -----------------------------------------------------------------------------------------

@@ -269,7 +269,7 @@ def checked_row(row: Any) -> Row:
         if value is not None and (not ok or (isinstance(value, bool) and kind is not bool)):
             raise ValueError(f"its {name} cannot be {str(value)[:40]!r}")
     if row["ending"] not in set(Ending):
-        raise ValueError("its ending is none")
+        raise ValueError("its ending is unknown")
     return dict(row)
 
 
@@ -408,7 +408,7 @@ def read_csv(file: Path) -> dict[str, list[Any]]:
                     column.append(_value(name, row[name]))
             return columns
     except (OSError, ValueError, csv.Error) as error:
-        raise UsageError(f"{file} is not the table of a batch ({error}); say the batch's command again.") from error
+        raise UsageError(f"{file} is not the table of a batch ({error}); rerun the batch's command.") from error
 
 
 def _value(name: str, text: str) -> Any:

@@ -206,7 +206,7 @@ def _unpack_one(
                 members = {n: n.removeprefix(f"{run}/") for n in names if n.startswith(f"{run}/")}
                 members |= {f"inputs/{n}": f"inputs/{n}" for n in inputs}
                 if not all(is_plain_name(part) for outside in members.values() for part in outside.split("/")):
-                    raise KeyError("it names what is no file in a run's folder")
+                    raise KeyError("it names something other than a file in a run's folder")
                 with staged(into / run, force=True, inside=True) as folder:
                     for inside, outside in members.items():
                         target = folder.stage / outside
@@ -241,7 +241,7 @@ def _read(index: Path) -> dict[str, Any]:
         runs = dict(read_json(index)["runs"])
         names = [name for run, entry in runs.items() for name in (run, *entry["inputs"])]
         if not all(is_plain_name(name) for name in names):
-            raise ValueError("it names what is no file in a folder")
+            raise ValueError("it names something other than a file in a folder")
         return {run: {"row": checked_row(entry["row"]), "inputs": entry["inputs"]} for run, entry in runs.items()}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"The index {index} of a pack is damaged ({error}); restore it from a copy.") from error
@@ -294,11 +294,11 @@ class Store:
         grown, common = plan_differences(previous, plan)
         if common:
             changes = "; ".join((*common, *grown))
-            raise UsageError(f"One cannot go on with the results in {self.folder}: {changes}. Give another --out.")
+            raise UsageError(f"The results in {self.folder} cannot be continued: {changes}. Give another --out.")
         if grown and not force:
             raise UsageError(
-                f"The plan is not the one of the results in {self.folder}: {'; '.join(grown)}. Say --force to go on "
-                "there with this plan (episodes of both are not run again), or give another --out."
+                f"The plan differs from that of the results in {self.folder}: {'; '.join(grown)}. Give --force to "
+                "continue there with this plan (episodes of both plans are not rerun), or give another --out."
             )
 
     def snapshot(self, bank: Path) -> None:
@@ -374,7 +374,7 @@ def open_store(folder: Path, staged: Callable[..., AbstractContextManager[Any]])
         if folder.exists() and not folder.is_dir():
             raise UsageError(f"{folder} is not a folder; give another --out.")
         if folder.exists() and any(folder.iterdir()) and not any((folder / n).exists() for n in (PLAN_FILE, LOCK_FILE)):
-            raise UsageError(f"{folder} holds something else than a batch's results; give another --out.")
+            raise UsageError(f"{folder} holds something other than a batch's results; give another --out.")
         refuse_links(folder)
         made = not folder.exists()
         (folder / "runs").mkdir(parents=True, exist_ok=True)

@@ -122,7 +122,7 @@ def lessons_of(text: str, what: str) -> list[Lessons]:
         return [_lesson(entry) for entry in parse_json(text)]
     except (ValueError, LookupError, TypeError, AttributeError, BankError) as error:
         reason = f"{type(error).__name__}: {error}"[:300]
-        raise UsageError(f"{what} is damaged ({reason}); delete the run's folder to have it run again.") from error
+        raise UsageError(f"{what} is damaged ({reason}); delete the run's folder to rerun it.") from error
 
 
 def _lesson(entry: dict[str, Any]) -> Lessons:

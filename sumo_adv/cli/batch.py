@@ -56,7 +56,7 @@ Memory = Annotated[
 class InputOptions:
     """Options that say what is run."""
 
-    seeds: Annotated[str | None, option(INPUT_PANEL, "How many, from 0; or a list: 3,7,11.", default="1")] = None
+    seeds: Annotated[str | None, option(INPUT_PANEL, "Number of seeds, from 0; or a list: 3,7,11.", default="1")] = None
     egos: Annotated[str | None, option(INPUT_PANEL, "krauss,idm,module:Class ...", default="the input's")] = None
     records: Annotated[str | None, option(INPUT_PANEL, "Of .tfrecord files: ids or places.", default="all")] = None
     setting: Annotated[
@@ -94,7 +94,9 @@ class BankOptions:
     learn: Annotated[
         Learn | None,
         option(
-            SEARCH_PANEL, "Into the bank: off, after (all, in order), during (rows depend on order).", default="off"
+            SEARCH_PANEL,
+            "When the bank learns: off, after (all, in order), during (rows depend on order).",
+            default="off",
         ),
     ] = None
     memory: Memory = None
@@ -106,15 +108,15 @@ class RunningOptions:
 
     workers: opt.Workers = None
     deadline: Annotated[
-        float, option(RUNNING_PANEL, "Seconds after which an episode is stuck.", default="600", min=1)
+        float, option(RUNNING_PANEL, "Seconds after which an episode counts as stuck.", default="600", min=1)
     ] = 600.0
     recycle: Annotated[
         int, option(RUNNING_PANEL, "Episodes after which a worker is replaced.", default="200", min=1)
     ] = 200
     ray: opt.RayCluster = None
-    retry_failed: Annotated[bool, option(RUNNING_PANEL, "Run failed episodes again.", "--retry-failed")] = False
+    retry_failed: Annotated[bool, option(RUNNING_PANEL, "Rerun failed episodes.", "--retry-failed")] = False
     dry_run: Annotated[bool, option(RUNNING_PANEL, "Print the episodes and run none.", "--dry-run")] = False
-    force: Annotated[bool, option(RUNNING_PANEL, "Go on in a folder of another plan.", "--force")] = False
+    force: Annotated[bool, option(RUNNING_PANEL, "Continue in a folder of another plan.", "--force")] = False
 
 
 @dataclass(frozen=True)
@@ -136,9 +138,9 @@ def batch(
     given: Given, what: InputOptions, attack: AttackOptions, bank: BankOptions, running: RunningOptions,
     output: OutputOptions,
 ) -> None:  # fmt: skip
-    """Run every input with every ego and every seed; the same command again does what is missing.
+    """Run every input with every ego and every seed; rerun the same command to run what is missing.
 
-    Ctrl-C finishes what runs, twice stops now. Also: batch pack OUT, batch unpack OUT.
+    Ctrl-C finishes the episodes that run; twice, it stops now. Also: batch pack OUT, batch unpack OUT.
     """
     from sumo_adv.api_batch import orders_of
     from sumo_adv.campaigns.plan import is_plan
@@ -209,12 +211,12 @@ def _run(plan: CampaignPlan, orders: Orders, *, states: bool, as_json: bool) -> 
     for note in () if as_json else (note for given in plan.inputs for note in given.notes):
         typer.echo(note)
     if plan.learn == "during" and not as_json:
-        typer.echo("With --learn during the rows depend on the order in which episodes finish.", err=True)
+        typer.echo("With --learn during, the rows depend on the order in which episodes finish.", err=True)
     with BatchProgress(quiet=as_json) as watcher:
         summary = run_campaign(plan, orders, watcher, states=states)
     typer.echo(json.dumps(summary.as_dict()) if as_json else _words_of(summary))
     if summary.stopped:
-        typer.echo("sumo-adv: stopped; the same command again does the rest.", err=True)
+        typer.echo("sumo-adv: stopped; rerun the same command to run the rest.", err=True)
     if summary.stopped or (summary.rows and all(r["failure"] for r in summary.rows)):
         raise typer.Exit(1)
 
@@ -226,7 +228,7 @@ def _words_of(summary: Summary) -> str:
         f"{s['valid']} valid ({s['humanlike']} humanlike, {s['robust']} robust), {s['failed']} failed."
     ]
     if summary.ran:
-        size = f"{s['bytes_an_episode'] / 1000:.0f} kB an episode, {s['input_bytes'] / 1000:.0f} kB of inputs"
+        size = f"{s['bytes_an_episode'] / 1000:.0f} kB per episode, {s['input_bytes'] / 1000:.0f} kB of inputs"
         lines.append(f"{summary.ran} run now in {s['seconds']:.0f} s; {size}.")
     if s["driver_calls"]:
         total = sum(float(r["seconds"] or 0.0) for r in summary.rows)
@@ -236,7 +238,7 @@ def _words_of(summary: Summary) -> str:
             f"{s['driver_calls']:,} calls, mean {mean:.2g} ms, 99 % within {s['driver_p99_ms']:.2g} ms in each episode."
         )
     if summary.learnt is not None:
-        lines.append(f"{summary.learnt} pieces of evidence went into the memory bank.")
+        lines.append(f"{summary.learnt} pieces of evidence were added to the memory bank.")
     lines += said_of(kinds_below(summary.folder))
     lines.append(f"Files: {summary.folder / 'results.csv'}")
     return "\n".join(lines)
@@ -245,10 +247,10 @@ def _words_of(summary: Summary) -> str:
 @app.command("pack", epilog="Example: sumo-adv batch pack runs/plan")
 def pack(
     folder: Annotated[Path, typer.Argument(metavar="OUT", help="The folder of a batch.")],
-    most: Annotated[int, typer.Option(min=1, help="Runs in a file.")] = 1000,
+    most: Annotated[int, typer.Option(min=1, help="Number of runs per file.")] = 1000,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Move finished runs into few zip files; the table, and going on with the batch, work as before."""
+    """Move finished runs into a few zip files; the table still works, and the batch can still be continued."""
     from sumo_adv.api_batch import Campaign
     from sumo_adv.campaigns.store import open_store, pack_runs
 
@@ -267,7 +269,7 @@ def unpack(
     names: Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Runs (default: all).")] = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Put packed runs into folders again, below OUT/unpacked; the packs stay."""
+    """Unpack runs into folders below OUT/unpacked; the packs stay."""
     from sumo_adv.api_batch import Campaign
     from sumo_adv.campaigns.store import unpack_runs
 

@@ -40,14 +40,19 @@ SuiteOption = Annotated[
     list[str], typer.Option("--suite", help="smoke, suite81, a folder, scenario files (repeatable), womd:FOLDER.")
 ]
 Egos = Annotated[str, typer.Option("--ego", help="One or several: krauss,idm,careful,lattice,module:Class.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of the simulations and of every draw.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the simulations and of all sampling.")]
 BENCH_ATTEMPTS = 25  # attempts of a row in an encounter, unless told otherwise
 DEFAULT_SECONDS: float = Settings.model_fields["seconds"].default
 Attempts = Annotated[int, typer.Option(min=1, help="Budget of every row, per encounter.")]
 Until = Annotated[str, typer.Option(help="Level of success: critical (ttc), collision, valid, strict or serious.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")]
-Out = Annotated[Path | None, typer.Option(help="Folder (default: runs/bench-<suite>); the same one goes on.")]
-Memory = Annotated[Path | None, typer.Option(help="Library of all rows (default: the shipped bank); only read.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one per core).")]
+Out = Annotated[
+    Path | None,
+    typer.Option(help="Folder of results (default: runs/bench-<suite>); the same folder continues a bench."),
+]
+Memory = Annotated[
+    Path | None, typer.Option(help="Memory bank of all rows (default: the shipped one); it is only read.")
+]
 Setting = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting of all rows.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")]
 
@@ -95,7 +100,7 @@ def table(
     ] = None,
     until: Until = "valid",
     reference: Annotated[
-        str | None, typer.Option(help="Row the others are compared with (default: the first expert).")
+        str | None, typer.Option(help="Row that the others are compared with (default: the first expert).")
     ] = None,
     setting: Setting = None,
     memory: Memory = None,
@@ -107,7 +112,7 @@ def table(
     """Run every row on every encounter of a suite, and write table.md, .csv, .json and figures."""
     rows = _unique(row or DEFAULT_ROWS)
     if reference is not None and reference not in rows:
-        raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
+        raise UsageError(f"--reference '{reference}' is not a row of the table; choose one of: {', '.join(rows)}.")
     most = attempts or (BENCH_ATTEMPTS if seconds is None else Settings.model_fields["attempts"].default)
     encounters = EncounterOptions(suite, ego, seed, most, until)
     running = RunningOptions(setting, memory, workers, out, as_json)
@@ -119,11 +124,13 @@ def table(
 @grouped
 def ablations(
     encounters: EncounterOptions,
-    llm: Annotated[str | None, typer.Option(help="With a model also: 1, 3 and 5 samples of the analyzer.")] = None,
+    llm: Annotated[
+        str | None, typer.Option(help="Also compare this model with 1, 3 and 5 samples of the analyzer.")
+    ] = None,
     *,
     running: RunningOptions,
 ) -> None:
-    """What each part is worth: the expert without memory, tuner, replanning, ego model, at other times."""
+    """Measure what each part is worth: the expert without memory, tuner, replanning or ego model, or at other times."""
     from sumo_adv.benchmark.jobs import ABLATIONS, REFERENCE, sampled
 
     words = {**ABLATIONS, **(sampled(llm) if llm else {})}
@@ -141,7 +148,7 @@ def analyzer(
     *,
     running: RunningOptions,
 ) -> None:
-    """Which analyzer names the most dangerous intent: against oracle, chance, the best constant answer, the ceiling."""
+    """Measure how often analyzers name the most dangerous intent, beside oracle, chance, best constant and ceiling."""
     from sumo_adv.benchmark.analysis import analysis_text, analyze, labels_hash, write_analysis
     from sumo_adv.benchmark.jobs import REFERENCE
     from sumo_adv.benchmark.plots import draw_confusions
@@ -161,11 +168,11 @@ def analyzer(
 @grouped
 def growth(
     encounters: EncounterOptions,
-    llm: Annotated[str | None, typer.Option(help="A model in all parts as well.")] = None,
+    llm: Annotated[str | None, typer.Option(help="Also measure this model in all parts.")] = None,
     *,
     running: RunningOptions,
 ) -> None:
-    """How the bank grows as encounters go by: hits, seconds, model calls; beside a bank that stays as it is."""
+    """Measure how a growing bank changes hits, seconds and model calls, compared with a fixed bank."""
     from sumo_adv.benchmark.jobs import GROWING
     from sumo_adv.benchmark.league import growth as growing
     from sumo_adv.benchmark.league import write_growth
@@ -182,7 +189,7 @@ def growth(
 @app.command("label", epilog="Example: sumo-adv bench label --suite suite81 --ego idm,krauss --out runs/bench")
 @grouped
 def label(encounters: EncounterOptions, running: RunningOptions) -> None:
-    """What the oracle finds most dangerous, into labels.json: put it beside a suite's suite.toml."""
+    """Write what the oracle finds most dangerous to labels.json; put this file beside a suite's suite.toml."""
     from sumo_adv.benchmark.rows import oracle_labels
     from sumo_adv.benchmark.write import as_json as text_of
     from sumo_adv.benchmark.write import write_files
@@ -202,7 +209,7 @@ def league(
     suite: SuiteOption, ego: Egos, seed: Seed = 0, attempts: Attempts = BENCH_ATTEMPTS, until: Until = "serious",
     *, running: RunningOptions,
 ) -> None:  # fmt: skip
-    """Which of several drivers is hardest to hit: the expert against each of them, in the same encounters."""
+    """Find which of several drivers is hardest to hit: the expert attacks each of them in the same encounters."""
     from sumo_adv.benchmark.jobs import REFERENCE
     from sumo_adv.benchmark.league import league as ranked
     from sumo_adv.benchmark.league import league_text, write_league
@@ -231,7 +238,7 @@ def make(
     if as_json:
         typer.echo(json.dumps(asdict(made), default=str))
         return
-    typer.echo(f"{made.file}: {made.drawn} candidates drawn, {sum(made.rejected.values())} rejected.")
+    typer.echo(f"{made.file}: {made.drawn} candidates sampled, {sum(made.rejected.values())} rejected.")
 
 
 def _unique(rows: Sequence[str]) -> tuple[str, ...]:
@@ -332,7 +339,7 @@ def _run(
 
     egos = _unique(words(encounters.ego))
     if not egos:
-        raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
+        raise UsageError("--ego names no driver; give for instance --ego idm,careful.")
     loaded = load_suite(*encounters.suite)
     budget = {"attempts": encounters.attempts, "until": encounters.until}
     settings = {"seconds": DEFAULT_SECONDS, **_settings(running.setting or ()), **budget}
@@ -349,7 +356,7 @@ def _run(
         with BenchProgress(quiet=running.as_json) as watcher:
             cells = run_table(request, means, watcher)
     except KeyboardInterrupt:
-        typer.echo("sumo-adv: interrupted; what finished is kept, the same command again does the rest.", err=True)
+        typer.echo("sumo-adv: interrupted; finished cells are kept. Rerun the same command to run the rest.", err=True)
         raise typer.Exit(1) from None
     return _Ran(request, means, of_rows(cells, rows, egos), running.as_json)
 
@@ -383,7 +390,7 @@ def _settings(given: Sequence[str]) -> dict[str, Any]:
     values = set_values(given, "proposals=60")
     for name in values:
         if name in SAID_ELSEWHERE:
-            raise UsageError(f"--set {name} is not for all rows of a table; say it as {SAID_ELSEWHERE[name]}.")
+            raise UsageError(f"--set {name} cannot apply to all rows of a table; use {SAID_ELSEWHERE[name]}.")
     settings = load_settings()
     of_variables = settings.model_fields_set - SAID_ELSEWHERE.keys()
     return {**settings.model_dump(mode="json", include=of_variables), **values}

@@ -32,11 +32,13 @@ def convert(
     source: Annotated[
         Path, typer.Argument(metavar="FILE", help="TFRecord of Waymo motion scenarios, or CommonRoad .xml.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder to write into: a folder a record, by its id.")],
+    out: Annotated[Path, typer.Option(help="Folder to write into: one folder per record, named by its id.")],
     record_id: Annotated[str | None, typer.Option("--id", help="Only the record of this id.")] = None,
-    first: Annotated[int | None, typer.Option(min=1, help="Number of records from the first on; else all.")] = None,
+    first: Annotated[
+        int | None, typer.Option(min=1, help="Number of records, from the first on (default: all).")
+    ] = None,
     keep_going: Annotated[
-        bool, typer.Option("--keep-going", help="Tell what is wrong with a record and take the next one.")
+        bool, typer.Option("--keep-going", help="Report what is wrong with a record and continue with the next.")
     ] = False,
     traffic: Annotated[bool, typer.Option(help="Try random traffic in each network for 120 s.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Replace folders of earlier conversions.")] = False,
@@ -94,7 +96,9 @@ def _records(source: Path, choice: RecordChoice, told: Told | None) -> Iterable[
     if not is_commonroad(source):
         return read_records(source, choice, told)
     if choice != ALL_RECORDS:
-        raise UsageError(f"--id and --first choose among records of a TFRecord file, which {source} is not.")
+        raise UsageError(
+            f"--id and --first choose records of a TFRecord file, and {source} is not one: leave them out."
+        )
     return [read_commonroad(source)]
 
 
@@ -142,15 +146,15 @@ IMPORT_EXAMPLE = "Example: sumo-adv import fcd.xml --network town.net.xml --ego 
 
 
 def import_fcd(
-    recording: Annotated[Path, typer.Argument(metavar="FCD", help="What sumo --fcd-output wrote, packed or not.")],
+    recording: Annotated[Path, typer.Argument(metavar="FCD", help="File that sumo --fcd-output wrote, packed or not.")],
     network: Annotated[Path, typer.Option(help="The .net.xml that it was driven on.")],
     ego: Annotated[str, typer.Option(help="Id of the vehicle under test.")],
     out: Annotated[Path, typer.Option(help="Folder to write.")],
     types: Annotated[
-        list[Path] | None, typer.Option(help="File of vTypes that say how large vehicles are; repeatable.")
+        list[Path] | None, typer.Option(help="File of vTypes with the sizes of vehicles; repeatable.")
     ] = None,
     warm_up: Annotated[
-        float, typer.Option(min=0.0, help="How long the recording moves all vehicles after the ego came, s.")
+        float, typer.Option(min=0.0, help="Time for which the recording moves all vehicles after the ego's arrival, s.")
     ] = 3.0,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier import.")] = False,
 ) -> None:

@@ -41,11 +41,12 @@ def doctor(
     scenario: Annotated[
         list[Path] | None,
         typer.Option(
-            help="With --ego: drive it here, a file or a name of the table, and not in the twelve; repeatable."
+            help="With --ego: drive in this scenario, a file or a name of the table, instead of the twelve; repeatable."
         ),
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", min=1.0, help="With INPUT: how long it is compared, s (default: 100).")
+        float | None,
+        typer.Option("--seconds", min=1.0, help="With INPUT: duration of the comparison, s (default: 100)."),
     ] = None,
     settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
@@ -62,14 +63,14 @@ def doctor(
         tell_input(source, seconds or CHECKED_SIMULATION_S, settings_file, as_json=as_json)
         return
     if seconds is not None:
-        raise UsageError("--seconds says how long an INPUT is compared with SUMO: name the INPUT as well.")
+        raise UsageError("--seconds says how long an INPUT is compared with SUMO: give the INPUT, too.")
     if ego is not None:
         if llm is not None or memory is not None:
             raise UsageError("--ego checks a driver alone: leave out --llm and --memory.")
         check_ego(ego, scenario or (), settings_file, as_json=as_json)
         return
     if scenario:
-        raise UsageError("--scenario says where the driver of --ego is checked: name the driver as well.")
+        raise UsageError("--scenario says where the driver of --ego is checked: give --ego, too.")
     findings = list(_findings(llm, memory, settings_file))
     failed = sum(f.level == "fail" for f in findings)
     if as_json:
@@ -78,7 +79,11 @@ def doctor(
         for finding in findings:
             mend = f". To fix it: {finding.mend}" if finding.mend else ""
             typer.echo(f"{finding.level:<5} {finding.name}: {finding.found.rstrip('.')}{mend}.")
-        typer.echo("All that a run needs is here." if not failed else "A run cannot work: fix what says fail.")
+        typer.echo(
+            "Everything that a run needs is installed."
+            if not failed
+            else "A run cannot work: fix the checks that say fail."
+        )
     if failed:
         raise typer.Exit(1)
 
@@ -146,12 +151,12 @@ def _words_of_input(source: Path, done: InputCheck) -> list[str]:
     from sumo_adv.input_check.motions import listed
     from sumo_adv.simulation.warnings_log import said_of
 
-    lines = [f"Read of {source}: {_counted(done.contents)}."]
+    lines = [f"Read from {source}: {_counted(done.contents)}."]
     if done.classes:
         lines.append(f"Classes: {_counted(done.classes)}.")
     lines += [*done.notes, *said_of(done.warnings)]
     if done.not_inserted:
-        lines.append(f"SUMO has inserted none of these, whose departure has passed: {listed(done.not_inserted)}.")
+        lines.append(f"SUMO has not inserted these vehicles, whose departure has passed: {listed(done.not_inserted)}.")
     if done.own_step is not None:
         lines.append(f"With SUMO's own step of {done.own_step.step:g} s: {done.own_step.sentence}")
     if done.comparison is not None:
@@ -210,8 +215,8 @@ def check_ego(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *
     if not as_json:
         typer.echo(f"{ego} drives {_many(len(inputs))}: {', '.join(given.name for given in inputs)}.")
         typer.echo(
-            f"Each is {DRIVE_DURATION_S:.0f} s, which idm drives once and {ego} twice, more often if these "
-            "differ. After the first the time that is left is said. Ctrl-C keeps what was driven until then."
+            f"Each scenario lasts {DRIVE_DURATION_S:.0f} s. idm drives it once, and {ego} twice or, if its drives "
+            "differ, more often. After the first, the remaining time is shown. Ctrl-C keeps the finished scenarios."
         )
         typer.echo(f"{'scenario':<{SCENARIO_NAME_CHARACTERS}} {'time':>6} {'ego':>7} {'idm':>7}  findings")
     done = app.check_driver(inputs, settings, (lambda checked: None) if as_json else CheckProgress(len(inputs)).tell)
@@ -239,7 +244,9 @@ class CheckProgress:
         if self._first and self._left:
             self._first = False
             each = time.monotonic() - self._began
-            typer.echo(f"It took {each:.0f} s; the other {self._left} will take about {_span(self._left * each)}.")
+            typer.echo(
+                f"The first took {each:.0f} s; the other {self._left} will take about {_span(self._left * each)}."
+            )
 
 
 def _span(seconds: float) -> str:

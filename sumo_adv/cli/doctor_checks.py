@@ -133,7 +133,7 @@ def extras(there: Callable[[str], bool] = _installed) -> Iterator[DoctorFinding]
         yield DoctorFinding(
             f"extra {extra}",
             FindingLevel.WARN,
-            f"not installed; it is for {use} alone",
+            f"not installed; it is only for {use}",
             f"pip install 'sumo-adv[{extra}]'",
         )
 
@@ -173,10 +173,10 @@ def programs(which: Callable[[str], str | None] = shutil.which, *, developing: b
             yield _program(name, find(), use)
         except SumoAdvError:
             yield DoctorFinding(
-                name, FindingLevel.WARN, f"not found; it is for {use} alone", "pip install 'sumo-adv[sumo]'"
+                name, FindingLevel.WARN, f"not found; it is only for {use}", "pip install 'sumo-adv[sumo]'"
             )
     optional: list[tuple[str, tuple[str, ...], str]]
-    optional = [("ffmpeg", ("ffmpeg",), "figure --out FILE.mp4 (a .gif needs nothing)")]
+    optional = [("ffmpeg", ("ffmpeg",), "figure --out FILE.mp4 (a .gif does not need it)")]
     if developing:
         optional.append(("chromium", ("chromium", "chromium-browser", "google-chrome"), "some of the tests"))
     for name, spellings, use in optional:
@@ -184,7 +184,7 @@ def programs(which: Callable[[str], str | None] = shutil.which, *, developing: b
             yield DoctorFinding(name, FindingLevel.OK, "found")
         else:
             yield DoctorFinding(
-                name, FindingLevel.WARN, f"not found; it is for {use} alone", f"on Debian: apt-get install {name}"
+                name, FindingLevel.WARN, f"not found; it is only for {use}", f"on Debian: apt-get install {name}"
             )
 
 
@@ -194,12 +194,12 @@ def _program(name: str, path: Path, use: str) -> DoctorFinding:
         match = re.search(r"SUMO \w+ v?(\d[.\d]*)", _said(str(path), "--version").stdout)
     except (OSError, subprocess.TimeoutExpired) as error:
         return DoctorFinding(
-            name, FindingLevel.WARN, f"does not run ({reason(error)}); it is for {use} alone", "install it again"
+            name, FindingLevel.WARN, f"does not run ({reason(error)}); it is only for {use}", "install it again"
         )
     library = _version("libsumo")
     if match is None:
         mend = f"on Debian: apt-get install {SYSTEM_LIBRARIES}"
-        return DoctorFinding(name, FindingLevel.WARN, f"does not say its version; it is for {use} alone", mend)
+        return DoctorFinding(name, FindingLevel.WARN, f"does not report its version; it is only for {use}", mend)
     if match[1] != library:
         return DoctorFinding(
             name, FindingLevel.WARN, f"{match[1]}, but the library is {library}: both may drive differently",
@@ -244,8 +244,8 @@ def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[DoctorF
         yield DoctorFinding("sandbox", FindingLevel.OK, note)
     elif in_container() if contained is None else contained:
         yield DoctorFinding(
-            "sandbox", FindingLevel.OK, "Planners run in a separate interpreter; bubblewrap is not available in this "
-            "container, which is the second wall: give it no network and no files that matter",
+            "sandbox", FindingLevel.OK, "Planners run in a separate interpreter; bubblewrap is not available here, so "
+            "this container is the second wall: give the container no network and no files that matter",
         )  # fmt: skip
     else:
         yield DoctorFinding(
@@ -280,7 +280,7 @@ def variables(known: Collection[str], environment: Mapping[str, str] = os.enviro
     given = [name for name in environment if name.upper().startswith(SETTING_PREFIX)]
     unknown = sorted(n for n in given if n.upper().removeprefix(SETTING_PREFIX).split("__")[0].lower() not in known)
     if unknown:
-        state = f"{', '.join(unknown)}: no setting has that name, so it does nothing"
+        state = f"{', '.join(unknown)}: no setting has that name, so the variable has no effect"
         yield DoctorFinding("variables", FindingLevel.WARN, state, "see docs/settings.md for the names")
 
 
@@ -317,7 +317,7 @@ def _made_later(path: Path, says: str) -> DoctorFinding:
         return DoctorFinding(
             "memory bank", FindingLevel.OK, f"none yet; the first run copies the shipped one ({says}) to {path}"
         )
-    mend = "set --memory, SUMO_ADV_MEMORY or XDG_DATA_HOME to where you may write"
+    mend = "set --memory, SUMO_ADV_MEMORY or XDG_DATA_HOME to a place where you may write"
     return DoctorFinding("memory bank", FindingLevel.FAIL, f"none yet, and {above} cannot be written ({wrong})", mend)
 
 

@@ -42,7 +42,7 @@ def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> It
     for name in names:
         if name.startswith(REPLAY):
             there = Path(name.removeprefix(REPLAY)).is_file()
-            state = "a recording, asked instead of a model" if there else "a recording that is not there"
+            state = "a recording, used instead of a model" if there else "a recording that does not exist"
             yield DoctorFinding(
                 f"model {name}", FindingLevel.OK if there else level, state, "" if there else "give its path"
             )

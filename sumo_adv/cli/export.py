@@ -25,20 +25,20 @@ def export(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder of a run, or of many: a hunt, a regression suite, a campaign.")
     ],
-    format: Annotated[Format, typer.Option(help="What to write; all: each that has its packages installed.")],
+    format: Annotated[Format, typer.Option(help="Format to write; all: every format whose packages are installed.")],
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File or folder to write, .gz for a packed fcd or csv; of several exports the folder for them "
+            help="File or folder to write, .gz for a packed fcd or csv; for several exports, their folder "
             "(default: beside DIR)."
         ),
     ] = None,
     variant: Annotated[
-        Variant, typer.Option(help="Of openscenario: all replayed, or the ego left to the player.")
+        Variant, typer.Option(help="For openscenario: replay all vehicles, or leave the ego to the player.")
     ] = Variant.REPLAY,
-    unattacked: Annotated[bool, typer.Option("--unattacked", help="The run without an attack instead.")] = False,
+    unattacked: Annotated[bool, typer.Option("--unattacked", help="Export the run without an attack instead.")] = False,
     before: Annotated[
-        float | None, typer.Option(min=0.0, help="Begin so long before the takeover, s (default: the run's history).")
+        float | None, typer.Option(min=0.0, help="Begin this long before the takeover, s (default: the run's history).")
     ] = None,
     whole: Annotated[bool, typer.Option("--whole", help="Begin where the simulation began.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier export.")] = False,
@@ -57,7 +57,7 @@ def export(
     runs, packed, formats = runs_in(folder), packed_rows(folder), chosen(format)
     if not runs and not packed:
         raise UsageError(
-            f"{folder} holds no runs; give the folder of a run, a hunt, a campaign, or what regress wrote of a suite."
+            f"{folder} holds no runs; give the folder of a run, a hunt, a campaign, or the results of regress."
         )
     if format is Format.ALL:
         for sentence in left_out():

@@ -45,21 +45,21 @@ class AttackOptions:
     """Options that say which failures are wanted, and how long they are searched for."""
 
     minutes: Annotated[
-        float, option(ATTACK_PANEL, "Of the whole hunt, several calls together.", default="30", min=0.1)
+        float, option(ATTACK_PANEL, "Minutes of the whole hunt, all calls together.", default="30", min=0.1)
     ] = 30.0
-    distinct: Annotated[int | None, option(ATTACK_PANEL, "End sooner, with this many distinct failures.", min=1)] = None
+    distinct: Annotated[int | None, option(ATTACK_PANEL, "End sooner, at this many distinct failures.", min=1)] = None
     until: Annotated[
         opt.Until | None,
         option(
             ATTACK_PANEL,
-            "Level at which an encounter ends, and that a failure reaches: valid, strict or serious.",
+            "Level of a failure, at which an encounter ends: valid, strict or serious.",
             metavar="LEVEL",
             default="serious; valid for the ego careful",
         ),
     ] = None
     seconds: Annotated[
         float | None,
-        option(ATTACK_PANEL, "Seconds of attempts per encounter at most.", default="20", min=3.0),
+        option(ATTACK_PANEL, "Maximum seconds of attempts per encounter.", default="20", min=3.0),
     ] = None
     min_delta_v: opt.MinDeltaV = None
     intents: opt.Intents = None
@@ -77,7 +77,9 @@ class SearchOptions:
     memory: Memory = None
     cover: Annotated[
         bool,
-        option(SEARCH_PANEL, "Give time to the named scenarios that were met least, not to new failures.", "--cover"),
+        option(
+            SEARCH_PANEL, "Give time to the named scenarios that were met least often, not to new failures.", "--cover"
+        ),
     ] = False
 
 
@@ -96,7 +98,9 @@ class RunningOptions:
 class OutputOptions:
     """Options that say what is written and printed."""
 
-    out: Annotated[Path | None, option(OUTPUT_PANEL, "Folder; the same one goes on.", default="runs/hunt")] = None
+    out: Annotated[
+        Path | None, option(OUTPUT_PANEL, "Folder of results; the same folder continues a hunt.", default="runs/hunt")
+    ] = None
     no_pages: Annotated[bool, option(OUTPUT_PANEL, "Make no index page and no replays.", "--no-pages")] = False
     as_json: opt.AsJson = False
 
@@ -106,9 +110,9 @@ def hunt(
     given: Given, *, ego: Ego = None, settings_file: opt.SettingsFile = None, attack: AttackOptions,
     search: SearchOptions, running: RunningOptions, output: OutputOptions,
 ) -> None:  # fmt: skip
-    """Find the worst distinct failures of a driver in a given time. The same command again goes on.
+    """Find the worst distinct failures of a driver in a given time. Rerun the same command to continue.
 
-    Ctrl-C finishes what runs, and leaves what was found. Keep all failures with: sumo-adv keep OUT/failures --suite DIR
+    Ctrl-C finishes what runs, and keeps the results. Keep all failures with: sumo-adv keep OUT/failures --suite DIR
     """
     from sumo_adv.api_batch import hunt as hunted
 
@@ -175,7 +179,7 @@ def _tell(progress: HuntProgress) -> None:
     lost = f", {progress.lost} lost" if progress.lost else ""
     typer.echo(
         f"{progress.seconds_left / 60:5.1f} min left: {progress.encounters} encounters, {progress.attempts} attempts "
-        f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (that or worse): {levels}; "
+        f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (this level or worse): {levels}; "
         f"{progress.left.words}.{newest}"
     )
     if progress.driver_time.calls:
@@ -213,7 +217,7 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         f"{ends[found.ended]}: {len(failures)} distinct failures{near} in {found.encounters} encounters, "
         f"{found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
     )
-    typer.echo(f"What is left: {found.left.words}.")
+    typer.echo(f"Estimate of what is left: {found.left.words}.")
     if found.driver_time.calls:
         typer.echo(found.driver_time.words(found.episode_seconds))
     if spent := sorted(found.spent.items(), key=lambda part: -part[1]):
@@ -232,7 +236,7 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     if rows:
         typer.echo(f"Keep them as a regression suite: sumo-adv keep {found.folder / 'failures'} --suite regression")
     if found.ended == "stopped":
-        typer.echo("The same command goes on.")
+        typer.echo("Rerun the same command to continue.")
 
 
 def _show_scenarios(found: Found) -> None:
@@ -243,7 +247,9 @@ def _show_scenarios(found: Found) -> None:
     met = [row for row in found.scenarios if row.encounters]
     if not met:
         return
-    typer.echo("Named scenarios: encounters and attempts that show them, encounters that reached a level or more:")
+    typer.echo(
+        "Named scenarios: encounters and attempts that show each, and encounters that reached at least each level:"
+    )
     typer.echo(f"{'':54}  enc.   att.  " + "  ".join(f"{level!s:>9}" for level in LEVELS))
     for row in met:
         name = f"{row.name.list}: {row.name.name}"

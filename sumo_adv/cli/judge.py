@@ -22,7 +22,7 @@ EXAMPLE = "Example: sumo-adv judge runs/priority_crossing-3"
 
 def judge(
     folders: Annotated[
-        list[Path] | None, typer.Argument(metavar="[DIR]...", help="Folders of runs, or that hold such.")
+        list[Path] | None, typer.Argument(metavar="[DIR]...", help="Folders of runs, or folders that hold runs.")
     ] = None,
     cut_ins: Annotated[
         Path | None,
@@ -31,13 +31,13 @@ def judge(
         ),
     ] = None,
     replay: Annotated[
-        bool, typer.Option("--replay", help="Simulate the runs again, and reference drivers in the loop.")
+        bool, typer.Option("--replay", help="Rerun the simulations, with reference drivers in the loop.")
     ] = False,
     ego: Annotated[
-        str | None, typer.Option(help="Needed to replay runs that a class drives: the class again, module:Class.")
+        str | None, typer.Option(help="The class that drove the runs, module:Class; a replay needs it.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="CSV to write (cut-ins: default on stdout).")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Runs replayed at once (default: one a core).")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Runs replayed at once (default: one per core).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Say what collisions mean: the level of each run, the drivers that avoid it, and how severe it is.
@@ -114,7 +114,7 @@ def _replayed(folder: Path, ego: str | None) -> Judgement:
     run = replay(recorded)
     best = None if run.best is None else run.best.best
     if best is None:
-        raise SumoAdvError(f"The encounter did not come back ({run.reason})")
+        raise SumoAdvError(f"The encounter did not recur ({run.reason})")
     return Judgement(folder, driver, before, verdict(best.verdict), "replay")
 
 
@@ -146,7 +146,7 @@ def _cut_ins(file: Path, out: Path | None, *, as_json: bool) -> None:
     try:
         cases = np.array([[float(row[name]) for name in CASE_COLUMNS] for row in table])
     except (TypeError, ValueError) as error:
-        raise UsageError(f"{file} holds something that is no number ({error}).") from error
+        raise UsageError(f"{file} holds something that is not a number ({error}).") from error
     rows = [{**given, **answer} for given, answer in zip(table, judge_cut_ins(cases), strict=True)]
     if out is not None:
         _write(out, rows)
@@ -180,9 +180,9 @@ COMPARE_EXAMPLE = "Example: sumo-adv compare runs/regress-main runs/regress-bran
 
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="Folder of a run, a campaign, a bench or a regression.")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Another one; or the same, with --egos.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another such folder; or the same one, with --egos.")],
     egos: Annotated[
-        str | None, typer.Option(metavar="A,B", help="The driver to take of each, where a folder has several.")
+        str | None, typer.Option(metavar="A,B", help="The driver to compare from each folder, if a folder has several.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for a page with the replays of the cases that changed.")

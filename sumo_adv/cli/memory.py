@@ -22,7 +22,7 @@ app = typer.Typer(
 
 @app.command("list", epilog="Example: sumo-adv memory list --json")
 def list_(memory: Bank = None, as_json: Json = False) -> None:
-    """The intents of the bank, with their planners' modes and how much evidence there is, and the compositions."""
+    """List the intents of the bank, with their planners' modes and their evidence, and the compositions."""
     from sumo_adv.memory.bank import all_compositions
     from sumo_adv.memory.records import plain_composition
 
@@ -51,7 +51,7 @@ def counts(c: Composition) -> str:
 
 @app.command("show", epilog="Example: sumo-adv memory show 'Straight Lane Shift'")
 def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
-    """An intent with its planners' source, retired ones too, or a composition with its parts."""
+    """Show an intent with the source of its planners, retired ones too, or a composition with its parts."""
     from sumo_adv.memory.bank import all_compositions
     from sumo_adv.memory.records import canonical
 
@@ -98,7 +98,7 @@ def show_composition(c: Composition, as_json: bool) -> None:
 
 @app.command("find", epilog="Example: sumo-adv memory find 'cuts in and brakes' --json")
 def find(text: str, memory: Bank = None, as_json: Json = False) -> None:
-    """The nearest intents to a description, their distance, the epsilon in force, and whether it is a hit."""
+    """Find the intents nearest to a description: their distance, the epsilon, and whether the nearest is a hit."""
     with open_bank(memory) as bank:
         retrieval = bank.retrieve(text, text)
     nearest = [{"label": label, "distance": round(d, 4)} for label, d in retrieval.nearest]
@@ -112,7 +112,7 @@ def find(text: str, memory: Bank = None, as_json: Json = False) -> None:
 
 @app.command("stats", epilog="Example: sumo-adv memory stats --json")
 def stats(memory: Bank = None, as_json: Json = False) -> None:
-    """Counts, successes and failures by intent and planner; what could be merged or retired (never done here)."""
+    """Count successes and failures by intent and planner, and list what to merge or retire (changes nothing)."""
     from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts, statistics
 
     with open_bank(memory) as bank:

@@ -106,7 +106,7 @@ def rerun(
 def verify(
     label: Annotated[str | None, typer.Option(help="Only the planners of this intent.")] = None,
     scenario: Annotated[
-        Path | None, typer.Option(help="Also run this scenario with each planner that has a success on it (slow).")
+        Path | None, typer.Option(help="Also run this scenario with each planner that has a success in it (slow).")
     ] = None,
     attempts: Annotated[
         int, typer.Option(min=1, help="With --scenario: maximum number of attempts for each planner.")
@@ -197,7 +197,7 @@ def _again(
     if not held:
         return None, None
     result = rerun(sandbox, stored, planner, held[0], scenario, attempts)
-    failure = None if result.ok else f"It succeeded in {scenario} once and in {result.attempts} attempts did not again."
+    failure = None if result.ok else f"It succeeded in {scenario} before, but not in {result.attempts} attempts now."
     return asdict(result), failure
 
 

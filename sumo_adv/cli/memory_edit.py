@@ -28,7 +28,7 @@ Bank = Annotated[
     Path | None,
     typer.Option(
         "--memory", envvar="SUMO_ADV_MEMORY", show_envvar=False,
-        help="The bank (default: SUMO_ADV_MEMORY, else the one in the user's data folder).",
+        help="The bank (default: SUMO_ADV_MEMORY or, if it is not set, the one in the user's data folder).",
     ),
 ]  # fmt: skip
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
@@ -62,9 +62,13 @@ def answer(value: dict[str, Any], as_json: bool, lines: Callable[[], list[str]])
 def add(
     file: Annotated[Path, typer.Argument(metavar="PLANNER.py", help="The planner: Python in the sandbox's subset.")],
     label: Annotated[str, typer.Option(help="The intent that it realises.")],
-    mode: Annotated[str | None, typer.Option(help="Its name among the intent's planners (else the file's).")] = None,
-    description: Annotated[str | None, typer.Option(help="Of a new intent: one to three sentences.")] = None,
-    applies: Annotated[str | None, typer.Option(help="Of a new intent: relations, e.g. leader,neighbour.")] = None,
+    mode: Annotated[
+        str | None, typer.Option(help="Name of the planner within the intent (default: the file's name).")
+    ] = None,
+    description: Annotated[
+        str | None, typer.Option(help="Description of a new intent: one to three sentences.")
+    ] = None,
+    applies: Annotated[str | None, typer.Option(help="Relations of a new intent, e.g. leader,neighbour.")] = None,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
@@ -118,7 +122,7 @@ def _intent_to_add(bank: MemoryBank, label: str, description: str | None, applie
         if record.status != "active":
             raise UsageError(f"The intent {record.label!r} is retired; bring it back with: memory retire --undo.")
         if description is not None or applies is not None:
-            raise UsageError(f"The intent {record.label!r} is there already; leave --description and --applies out.")
+            raise UsageError(f"The intent {record.label!r} already exists; leave out --description and --applies.")
         return record
     if description is None or applies is None:
         raise UsageError(
@@ -130,7 +134,7 @@ def _intent_to_add(bank: MemoryBank, label: str, description: str | None, applie
 
 
 def merge(
-    label: Annotated[str | None, typer.Argument(metavar="A", help="The intent that is given up.")] = None,
+    label: Annotated[str | None, typer.Argument(metavar="A", help="The intent to merge.")] = None,
     word: Annotated[str | None, typer.Argument(metavar="INTO", help="The word into.")] = None,
     into: Annotated[str | None, typer.Argument(metavar="B", help="The intent that takes over its planners.")] = None,
     propose: Annotated[bool, typer.Option("--propose", help="Only print what could be merged.")] = False,
@@ -141,13 +145,13 @@ def merge(
     from sumo_adv.memory.curate import near_duplicates
 
     if not propose and (label is None or into is None or word is None or word.casefold() != "into"):
-        raise UsageError("Say which: memory merge 'A' into 'B', or memory merge --propose.")
+        raise UsageError("Give two intents: memory merge 'A' into 'B'; or memory merge --propose.")
     with open_bank(memory) as bank:
         if propose:
             duplicates = near_duplicates(bank)
             answer({"merge": [asdict(each) for each in duplicates]}, as_json, lambda: [
                 f"{p.distance:.3f}  {p.label} into {p.into}: {p.reason}" for p in duplicates
-            ] or ["Nothing looks alike."])  # fmt: skip
+            ] or ["No intents look alike."])  # fmt: skip
             return
         assert label is not None and into is not None
         merged, kept = known_intent(bank, label), known_intent(bank, into)
@@ -177,9 +181,11 @@ def retire(
 
 
 def new(
-    path: Annotated[Path, typer.Argument(help="The new bank; nothing may be there.")],
+    path: Annotated[Path, typer.Argument(help="The new bank; the path must not exist.")],
     only: Annotated[str, typer.Option(help="Labels, with commas between them.")],
-    memory: Annotated[Path | None, typer.Option("--memory", help="The bank to take from (else the shipped).")] = None,
+    memory: Annotated[
+        Path | None, typer.Option("--memory", help="The bank to take the intents from (default: the shipped one).")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make a bank with part of a library, such as the two intents of the paper's LLM-F."""
@@ -196,14 +202,15 @@ def generate(
     description: Annotated[str, typer.Argument(help="What the vehicle does, in one to three sentences.")],
     label: Annotated[str | None, typer.Option(help="The intent's label (default: the description's words).")] = None,
     applies: Annotated[
-        str | None, typer.Option(help="Of a new intent: relations, e.g. leader,neighbour (default: the nearest's).")
+        str | None,
+        typer.Option(help="Relations of a new intent, e.g. leader,neighbour (default: those of the nearest intent)."),
     ] = None,
-    llm: Annotated[str | None, typer.Option(help="The model (else that of the settings).")] = None,
+    llm: Annotated[str | None, typer.Option(help="The model (default: that of the settings).")] = None,
     trajectory: Annotated[
         str | None, typer.Option(help="Your instruction for the trajectory, e.g. 'a cubic spline, at most 2 m/s2'.")
     ] = None,
     settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planner; keep nothing.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planner without storing it.")] = False,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
@@ -285,7 +292,7 @@ def export(
 
 def import_(
     folder: Annotated[Path, typer.Argument(help="Folder that export wrote.")],
-    skip: Annotated[bool, typer.Option("--skip-refused", help="Take the rest where something is refused.")] = False,
+    skip: Annotated[bool, typer.Option("--skip-refused", help="Import the rest if something is refused.")] = False,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
@@ -299,7 +306,7 @@ def import_(
     if refused and not skip:
         named = "; ".join(f"{each.label} / {each.mode}: {each.reason.rstrip('.')}" for each in refused[:5])
         raise UsageError(
-            f"Nothing of {folder} is imported, {len(refused)} of its planners fail in the sandbox ({named})."
+            f"Nothing of {folder} is imported: {len(refused)} of its planners fail in the sandbox ({named})."
         )
     value = {**asdict(added), "refused": [asdict(each) for each in refused]}
     answer(value, as_json, lambda: [

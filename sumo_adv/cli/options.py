@@ -60,14 +60,15 @@ Ttc = Annotated[
     ),
 ]  # fmt: skip
 CriticalTtc = Annotated[
-    float | None, option(ATTACK_PANEL, "A min TTC of at most this is critical, s.", setting="critical_ttc")
+    float | None, option(ATTACK_PANEL, "Highest min TTC that is critical, s.", setting="critical_ttc")
 ]
 MinDeltaV = Annotated[
     float | None,
-    option(ATTACK_PANEL, "Least delta-v of the ego in a collision that succeeds, m/s.", setting="min_delta_v"),
+    option(ATTACK_PANEL, "Minimum delta-v of the ego in a successful collision, m/s.", setting="min_delta_v"),
 ]
 Diverse = Annotated[
-    int | None, option(ATTACK_PANEL, "Go on until attacks of this many different kinds succeeded.", setting="diverse")
+    int | None,
+    option(ATTACK_PANEL, "Continue until attacks of this many different kinds succeeded.", setting="diverse"),
 ]
 Intents = Annotated[
     str | None, option(ATTACK_PANEL, "Intents that may be tried, with commas between.", metavar="A,B", default="all")
@@ -89,10 +90,14 @@ Scenario = Annotated[
 ]  # fmt: skip
 Adversaries = Annotated[
     int | None,
-    option(ATTACK_PANEL, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries"),
+    option(
+        ATTACK_PANEL,
+        "Maximum number of adversaries in an attack, 1 to 3: a collider and supports.",
+        setting="adversaries",
+    ),
 ]
 Attempts = Annotated[int | None, option(ATTACK_PANEL, "Maximum number of attempts per encounter.", setting="attempts")]
-Seconds = Annotated[float | None, option(ATTACK_PANEL, "Seconds of attempts per encounter at most.", setting="seconds")]
+Seconds = Annotated[float | None, option(ATTACK_PANEL, "Maximum seconds of attempts per encounter.", setting="seconds")]
 
 # -- where it is looked for
 
@@ -101,7 +106,7 @@ AsJson = Annotated[bool, option(OUTPUT_PANEL, "One JSON object on stdout, nothin
 
 # -- how it is run
 
-Workers = Annotated[int | None, option(RUNNING_PANEL, "Processes.", default="one a core", min=1)]
+Workers = Annotated[int | None, option(RUNNING_PANEL, "Processes.", default="one per core", min=1)]
 RayCluster = Annotated[
     str | None,
     option(RUNNING_PANEL, "Run on this Ray cluster: auto, HOST:PORT.", metavar="ADDRESS", default="none"),
@@ -115,19 +120,21 @@ Source = Annotated[
         help="net.xml(.gz), .sumocfg, scenario .toml, .osm(.gz), .xodr, .tfrecord, CommonRoad .xml, or a shipped name.",
     ),
 ]
-Record = Annotated[str | None, option(INPUT_PANEL, "Record of a .tfrecord: its id, or its place from 0.", default="0")]
+Record = Annotated[
+    str | None, option(INPUT_PANEL, "Record of a .tfrecord: its id, or its position from 0.", default="0")
+]
 Begin = Annotated[
     float | None, option(INPUT_PANEL, "Simulation begin, s.", default="a .sumocfg's, or the first departure")
 ]
 Density = Annotated[
     float | None,
-    option(INPUT_PANEL, "Generated demand, for an input without any: departures a minute.", default="by lanes"),
+    option(INPUT_PANEL, "Generated demand, for an input without any: departures per minute.", default="by lanes"),
 ]
 Ego = Annotated[
     str | None,
     option(
         EGO_PANEL, "Driver under test: krauss, idm, eidm, careful, lattice, blind, fiss_plus, replay, module:Class.",
-        default="as the input says, else idm",
+        default="as the input says, or idm",
     ),
 ]  # fmt: skip
 Adversary = Annotated[str | None, option(ATTACK_PANEL, "The only vehicle that may attack.", default="any")]
@@ -137,11 +144,11 @@ Memory = Annotated[
     Path | None,
     option(SEARCH_PANEL, "Memory bank; made from the shipped one if it does not exist.", default="your own"),
 ]
-Seed = Annotated[int | None, option(SEARCH_PANEL, "Of SUMO, demand, search and planners.", setting="seed")]
+Seed = Annotated[int | None, option(SEARCH_PANEL, "Seed of SUMO, demand, search and planners.", setting="seed")]
 Llm = Annotated[
     str | None,
     option(
-        MODEL_PANEL, "For analyzer, generator and modifier: deepseek-chat, ollama:NAME, replay:FILE ..",
+        MODEL_PANEL, "Model for analyzer, generator and modifier: deepseek-chat, ollama:NAME, replay:FILE ..",
         default="none: the built-in expert",
     ),
 ]  # fmt: skip
@@ -198,7 +205,7 @@ class InputOptions:
         option(
             INPUT_PANEL,
             "What drives recorded vehicles: log or sumo.",
-            default="as the input says, else log for a replayed ego",
+            default="as the input says, or log for a replayed ego",
         ),
     ] = None
     sumo_option: Annotated[
@@ -209,7 +216,7 @@ class InputOptions:
     ] = None
     settings_file: SettingsFile = None
     replay: Annotated[
-        Path | None, option(INPUT_PANEL, "Run the attempt of that folder again, from its manifest.", default="none")
+        Path | None, option(INPUT_PANEL, "Rerun the attempt of this folder from its manifest.", default="none")
     ] = None
 
 
@@ -223,7 +230,7 @@ class EgoOptions:
         float | None,
         option(
             EGO_PANEL,
-            "Seconds in which its driver must answer in a step; 0: any time, for a debugger.",
+            "Seconds in which the ego's driver must answer in a step; 0: no limit, for a debugger.",
             setting="ego_deadline",
         ),
     ] = None
@@ -231,7 +238,7 @@ class EgoOptions:
         str | None,
         option(
             EGO_PANEL,
-            "Seconds until an answer of its driver takes effect, or measured: what the answer took.",
+            "Seconds until an answer of the ego's driver takes effect, or measured: the time that the answer took.",
             setting="ego_latency",
         ),
     ] = None
@@ -273,21 +280,21 @@ class ModelOptions:
         str | None, option(MODEL_PANEL, "builtin or a model, for changes of a planner.", default="as --llm")
     ] = None
     fallback: Annotated[
-        str | None, option(MODEL_PANEL, "builtin: the expert goes on where a model fails; or off.", setting="fallback")
+        str | None, option(MODEL_PANEL, "builtin: the expert continues if a model fails; or off.", setting="fallback")
     ] = None
     samples: Annotated[
-        int | None, option(MODEL_PANEL, "How often the analyzer's model is asked.", setting="samples")
+        int | None, option(MODEL_PANEL, "Number of samples of the analyzer's model.", setting="samples")
     ] = None
     evidence: Annotated[
         str | None, option(MODEL_PANEL, "on or off: show a model the predictor's figures.", setting="evidence")
     ] = None
     instruction: Annotated[
         str | None,
-        option(MODEL_PANEL, "In words, how generated planners shall shape their trajectories.", default="none"),
+        option(MODEL_PANEL, "Instruction in words for the trajectories of generated planners.", default="none"),
     ] = None
-    show_prompts: Annotated[
-        bool, option(MODEL_PANEL, "Print what a model would be asked here, and ask nothing.", "--show-prompts")
-    ] = False
+    show_prompts: Annotated[bool, option(MODEL_PANEL, "Print the prompts, and call no model.", "--show-prompts")] = (
+        False
+    )
 
 
 @dataclass(frozen=True)

@@ -204,7 +204,7 @@ class BenchProgress(_Barred):
         if self._display is not None:
             self._task = self._display.add_task("cells", total=total, completed=before, note="")
         elif not self._quiet:
-            typer.echo(f"{total} cells, {before} of them there.", err=True)
+            typer.echo(f"{total} cells, {before} of them done before.", err=True)
 
     def finished(self, job: bench.BenchJob) -> None:
         self._done += len(job.rows)
@@ -248,7 +248,7 @@ def stopping_words(now: bool) -> str:
     """
     if now:
         return "Stopping now."
-    return "Finishing the episodes that run; Ctrl-C again stops them. Say the same command again to go on."
+    return "Finishing the episodes that run; Ctrl-C again stops them. Rerun the same command to continue."
 
 
 # -- a run in words
@@ -260,7 +260,7 @@ def line(what: str, value: Any) -> str:
         near = ", ".join(f"{i} ({r})" for i, r, _ in value.ranking)
         earlier = len(value.passed_over)
         passed = f" after passing over {earlier} earlier encounter{'s' * (earlier != 1)}" if earlier else ""
-        left_out = f"; SUMO crashes on {', '.join(value.beside)}, so it does not drive there" if value.beside else ""
+        left_out = f"; only obstacles, because SUMO crashes on them: {', '.join(value.beside)}" if value.beside else ""
         return f"Encounter at {value.time:.1f} s{passed}: ego {value.ego}; near it {near}{left_out}"
     if what == "intents":
         top = value[0]
@@ -310,7 +310,9 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and best.get("cause"):
         lines.append(f"Why: {best['cause']['sentence']}")
     if (robust := result.get("robust")) is not None:
-        lines.append(f"It holds in {robust['held']} of {robust['of']} neighbours (other arrivals or numbers).")
+        lines.append(
+            f"The attack holds in {robust['held']} of {robust['of']} neighbours (other arrivals or parameter values)."
+        )
     for success in result["successes"] if len(result["successes"]) > 1 else ():
         path = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{path}.")
@@ -319,7 +321,7 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
         lines.append(driver.words(result["timing"]["total"]))
     lines.append(result["agents"]["note"])
     if result["encounter"] is not None and not result["forked"]:
-        lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")
+        lines.append("Attempts were loaded and repeated, not forked: slower, but with the same result.")
     lines += [result["bank_change"]] if result.get("bank_change") else []
     lines += said_of([WarningKind(**kind) for kind in result.get("warnings", ())])
     lines.append(f"Files: {folder}")
@@ -341,7 +343,7 @@ def _result(result: Mapping[str, Any]) -> str:
 def _overridden(actions: Mapping[str, int]) -> str:
     """Say how often SUMO limited what a driver with ``LaneSpeed`` asked for."""
     steps = actions["LaneSpeed"]
-    return f"SUMO's safe speed limited what the ego's driver asked for in {actions['limited']} of {steps} steps."
+    return f"SUMO's safe speed limited the ego's driver in {actions['limited']} of {steps} steps."
 
 
 def _before(raw: Mapping[str, Any]) -> str:
@@ -375,7 +377,7 @@ def _hard(delta_v: float | None, impact_speed: float | None) -> str:
 def _preventable(by: Sequence[str], inconclusive: str | None) -> str:
     why = {
         "no_hazard": "inconclusive: no danger showed before the contact",
-        "unchanged_ego_misses": "inconclusive: the unchanged ego misses in the check",
+        "unchanged_ego_misses": "inconclusive: in the check, the unchanged ego misses the adversary",
         "no_plan": "inconclusive: what the adversary planned after the contact is not known",
     }
     if inconclusive:
@@ -412,7 +414,7 @@ def served(event: Mapping[str, Any]) -> str:
     kind = event["event"]
     if kind == "listening":
         opens = f"\n{event['opens']}" if event["opens"] else ""
-        added = f"\nThe demand has no vehicle '{event['ego']}': the program is to add it." if event["added"] else ""
+        added = f"\nThe demand has no vehicle '{event['ego']}': your program must add it." if event["added"] else ""
         return f"Waiting at {event['host']}:{event['port']} for the program that drives '{event['ego']}'.{added}{opens}"
     if kind == "status_page":
         return f"Status: http://127.0.0.1:{event['port']}/status"

@@ -22,13 +22,15 @@ EXAMPLE = "Example: sumo-adv rate straight_2lane --ego idm --runs 1000"
 Source = Annotated[Path, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a name.")]
 Ego = Annotated[
     str | None,
-    option(EGO_PANEL, "Driver under test: idm, careful, module:Class ...", default="as the input says, else idm"),
+    option(EGO_PANEL, "Driver under test: idm, careful, module:Class ...", default="as the input says, or idm"),
 ]
-Runs = Annotated[int, option(SEARCH_PANEL, "Runs that are estimated from, in blocks of 20.", default="1000", min=1)]
+Runs = Annotated[int, option(SEARCH_PANEL, "Number of runs for the estimate, in blocks of 20.", default="1000", min=1)]
 Errors = Annotated[float, option(INPUT_PANEL, "Factor on the rates of all human errors.", default="1", min=0)]
 Out = Annotated[
     Path | None,
-    option(OUTPUT_PANEL, "Folder of runs; the same command again goes on there.", default="runs/rate-<input>-<ego>"),
+    option(
+        OUTPUT_PANEL, "Folder of runs; rerun the same command to continue there.", default="runs/rate-<input>-<ego>"
+    ),
 ]
 
 
@@ -38,10 +40,12 @@ class SamplingOptions:
 
     runs: Runs = 1000
     pilot: Annotated[
-        int, option(SEARCH_PANEL, "Runs before, from which the proposal learns.", default="200", min=1)
+        int, option(SEARCH_PANEL, "Number of earlier runs, from which the proposal learns.", default="200", min=1)
     ] = 200
-    plain: Annotated[bool, option(SEARCH_PANEL, "Draw all runs from the model: plain Monte Carlo.", "--plain")] = False
-    seed: Annotated[int, option(SEARCH_PANEL, "Of traffic and errors.", default="0", min=0)] = 0
+    plain: Annotated[bool, option(SEARCH_PANEL, "Sample all runs from the model: plain Monte Carlo.", "--plain")] = (
+        False
+    )
+    seed: Annotated[int, option(SEARCH_PANEL, "Seed of traffic and errors.", default="0", min=0)] = 0
 
 
 @dataclass(frozen=True)
@@ -49,13 +53,13 @@ class TrafficOptions:
     """Options of the traffic in which the ego drives."""
 
     duration: Annotated[
-        float, option(INPUT_PANEL, "How long the ego drives at most in a run, s.", default="60", min=1)
+        float, option(INPUT_PANEL, "Maximum time that the ego drives in a run, s.", default="60", min=1)
     ] = 60.0
     warm_up: Annotated[
-        float, option(INPUT_PANEL, "How long generated traffic runs before the ego comes, s.", default="20", min=0)
+        float, option(INPUT_PANEL, "Warm-up of generated traffic before the ego departs, s.", default="20", min=0)
     ] = 20.0
     density: Annotated[
-        float | None, option(INPUT_PANEL, "Of generated traffic: departures a minute.", default="by lanes")
+        float | None, option(INPUT_PANEL, "Departures per minute of generated traffic.", default="by lanes")
     ] = None
     errors: Errors = 1.0
 
@@ -67,7 +71,7 @@ def rate(
 ) -> None:  # fmt: skip
     """Estimate how often the ego crashes in an hour and in a kilometre of normal traffic, in which drivers err.
 
-    Errors that look dangerous are drawn more often, and each run is weighted for that. docs/rate.md says what the
+    Errors that look dangerous are sampled more often, and each run is weighted for that. docs/rate.md says what the
     figures may be used for.
     """
     from sumo_adv.api_batch import Teller
@@ -85,7 +89,7 @@ def rate(
     estimate = estimate_rate(plan, target, sampling.runs, workers, watcher, ray)
     counter.close()
     if estimate is None:
-        typer.echo(f"sumo-adv: stopped; the same command goes on in {target}.", err=True)
+        typer.echo(f"sumo-adv: stopped; rerun the same command to continue in {target}.", err=True)
         raise typer.Exit(1)
     typer.echo(json.dumps({**estimate.document(), "folder": str(target)}) if as_json else "\n".join(lines(estimate)))
 
@@ -103,15 +107,15 @@ def lines(found: RateEstimate) -> list[str]:
             f"{_span(per_km.value, per_km.low, per_km.high, 1e6):>26} {half:>10} {hourly.crashes:>7} {plain:>10}"
         )
     collision = found.per_hour["collision"]
-    worth = f"{found.runs} runs, worth {found.effective_runs:.0f} of equal weight"
+    worth = f"{found.runs} runs, effective sample size {found.effective_runs:.0f}"
     shown.append(f"{worth}; {found.hours:.2f} h, {found.km:.1f} km driven.")
     if collision.largest_share is not None and found.plain_km is not None:
         shown.append(
-            f"Collisions: worth {collision.effective:.1f} of equal weight, the largest weight has "
-            f"{collision.largest_share:.0%}; runs of the model that tell as much: {found.plain_km:.0f} km."
+            f"Collisions: effective sample size {collision.effective:.1f}, largest weight "
+            f"{collision.largest_share:.0%}; plain sampling needs {found.plain_km:.0f} km for the same precision."
         )
         causes = sorted(found.by_error.items(), key=lambda item: -item[1])
-        shown.append("Errors before: " + ", ".join(f"{name} {share:.0%}" for name, share in causes))
+        shown.append("Errors before collisions: " + ", ".join(f"{name} {share:.0%}" for name, share in causes))
     return shown
 
 

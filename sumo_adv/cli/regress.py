@@ -32,7 +32,7 @@ def keep(
     given: Annotated[
         list[Path], typer.Argument(metavar="RUN...", help="Folders of runs or of hunts, or that hold runs.")
     ],
-    suite: Annotated[Path, typer.Option(help="Folder of the suite; made if it is not there.")],
+    suite: Annotated[Path, typer.Option(help="Folder of the suite; made if it does not exist.")],
     level: Annotated[
         Until, typer.Option(help="From a folder that holds runs, keep only attacks that reach this level.")
     ] = Until.COLLISION,
@@ -42,15 +42,17 @@ def keep(
     ] = None,
     avoid: Annotated[
         Until | None,
-        typer.Option(help="Expect that the attack stays below this level (default: what a reference driver does)."),
+        typer.Option(
+            help="Expect that the attack stays below this level (default: the level with a reference driver)."
+        ),
     ] = None,
-    min_ttc: Annotated[float | None, typer.Option(min=0, help="Expect a least TTC above this, s.")] = None,
+    min_ttc: Annotated[float | None, typer.Option(min=0, help="Expect a min TTC above this, s.")] = None,
     no_worse: Annotated[
         bool, typer.Option("--no-worse", help="Expect the ego to be no worse than in a baseline.")
     ] = False,
-    name: Annotated[str | None, typer.Option(help="Of the case, for one RUN (default: input and seed).")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the case, for one RUN (default: input and seed).")] = None,
     every: Annotated[bool, typer.Option("--all", help="Keep cases that no reference driver passes, too.")] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: one per core).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Keep found attacks in a suite: scenario, planner, parameters and trigger, in a folder a case.
@@ -151,7 +153,7 @@ def _say(done: _Keeping, suite: Path, level: Until, other: str, *, as_json: bool
         typer.echo(f"Kept {folder} from {run.name}")
     for run, why in failed.items():
         typer.echo(f"Left out {run}: no reference driver passes it (careful: {why})")
-    more = [f"{len(again)} there already"] if again else []
+    more = [f"{len(again)} already there"] if again else []
     more += [f"{len(left)} left out (below {level}{other})"] if left else []
     more += [f"{len(failed)} left out (no reference driver passes; --all keeps them)"] if failed else []
     typer.echo(f"{len(kept)} case{'s' * (len(kept) != 1)} into {suite}{''.join(', ' + each for each in more)}.")
@@ -182,7 +184,11 @@ def regress(
         Path | None, typer.Option(metavar="FILE", help="regress.json of another driver or revision, to compare with.")
     ] = None,
     attempts: Annotated[
-        int, typer.Option(min=1, help="Of a case at most; more than one also tries numbers near its own (default: 1).")
+        int,
+        typer.Option(
+            min=1,
+            help="Maximum number of attempts per case; more than one also tries nearby parameter values (default: 1).",
+        ),
     ] = 1,
     waive: Annotated[
         Path | None,
@@ -193,7 +199,7 @@ def regress(
         bool, typer.Option("--allow-untested", help="Do not fail for cases without an encounter or a fair attack.")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder of results (default: runs/regress-SUITE).")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: one per core).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the folder of other results.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:

@@ -30,7 +30,7 @@ def report(
         int | None, typer.Option(min=0, help="Of a batch: maximum number of replay pages to make now (default: all).")
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Of a batch: processes (default: the cores).")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Of a batch: make all pages again.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Of a batch: rebuild all pages.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Make one HTML file that replays a run, or an index of a batch with a replay behind each row. Nothing needs a
@@ -107,7 +107,7 @@ def _batch(
 
 def _words(made: Report) -> str:
     lacking = made.episodes - made.pages
-    rest = f" {lacking} without a page: say the same again to make more." if lacking and not made.damaged else ""
+    rest = f" {lacking} without a page: rerun the command to make more." if lacking and not made.damaged else ""
     return f"Index: {made.index} ({made.episodes} episodes, {made.pages} replay pages, {made.made} made now).{rest}"
 
 
@@ -125,7 +125,7 @@ def figure(
     out: Annotated[
         Path | None, typer.Option(help="A .png, .svg, .pdf, .gif or .mp4 file (default: figure.png in DIR).")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Draw a run as papers do, without and with the attack, or film the attack. Of a hunt: its failures over time."""
@@ -133,9 +133,9 @@ def figure(
     kind = target.suffix.removeprefix(".").lower()
     if kind not in (*PICTURES, *FILMS):
         kinds = ", ".join(f".{k}" for k in (*PICTURES, *FILMS))
-        raise UsageError(f"{target} does not say what to draw; give --out a file that ends in one of {kinds}.")
+        raise UsageError(f"{target} has an ending that cannot be drawn; give --out a file that ends in one of {kinds}.")
     if target.is_dir() or (target.exists() and not force):
-        raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
+        raise UsageError(f"{target} already exists; give another --out, or --force to replace the file.")
     from sumo_adv.report.index import HUNT
 
     if (folder / HUNT).is_file():

@@ -173,7 +173,9 @@ def show_prompts_of(run_input: RunInput, settings: Settings, *, as_json: bool) -
         return
     for p in prompts:
         typer.echo(f"==== {p.agent}: system\n{p.system}\n\n==== {p.agent}: user\n{p.user}\n")
-    typer.echo("About (a quarter of the characters): " + ", ".join(f"{p.agent} {p.tokens} tokens" for p in prompts))
+    typer.echo(
+        "Estimated length (a quarter of the characters): " + ", ".join(f"{p.agent} {p.tokens} tokens" for p in prompts)
+    )
 
 
 def _prompts(run_input: RunInput, settings: Settings) -> list[Prompt]:
@@ -188,7 +190,7 @@ def _prompts(run_input: RunInput, settings: Settings) -> list[Prompt]:
             prepared = finder.find_attackable(sandbox, bank)
             if prepared is None or not prepared.search.pool:
                 why = "" if finder.stop is None else finder.stop.reason
-                raise UsageError(f"There is nothing to ask about here. {why}".rstrip())
+                raise UsageError(f"There is no encounter to show prompts of. {why}".rstrip())
             return [
                 _analyzer(prepared, settings, bank),
                 *_writers(prepared, settings, Agents(settings, sandbox), engine),
@@ -248,7 +250,7 @@ def minimise(
     ] = None,
     attempts: Annotated[int, typer.Option(min=1, help="Maximum number of simulations.")] = MINIMISE_ATTEMPTS,
     ego: Annotated[
-        str | None, typer.Option(help="Needed if a class drove the run: the class again, module:Class.")
+        str | None, typer.Option(help="The class that drove the run, module:Class; a replay needs it.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/RUN-mildest).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,

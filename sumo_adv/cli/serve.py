@@ -51,7 +51,7 @@ def claim(target: Path, *, force: bool) -> None:
     try:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             if not force:
-                raise UsageError(f"The output folder {target} is there already; give another --out, or --force.")
+                raise UsageError(f"The output folder {target} already exists; give another --out, or --force.")
             _check_replaceable(target)
             shutil.rmtree(target)
         target.mkdir(parents=True, exist_ok=True)
@@ -131,28 +131,33 @@ class ClientOptions:
     """Options that say who may connect, and what is expected of the client."""
 
     mode: Annotated[
-        Mode, typer.Option(help="continuous: encounter after encounter; episodes: each again, refined.")
+        Mode, typer.Option(help="continuous: encounter after encounter; episodes: repeat each encounter, refined.")
     ] = Mode.CONTINUOUS
-    host: Annotated[str, typer.Option(help="Address to listen at; not loopback only with --allow.")] = "127.0.0.1"
+    host: Annotated[str, typer.Option(help="Address to listen at; an address other than loopback needs --allow.")] = (
+        "127.0.0.1"
+    )
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port for the client; 0 = any free one.")] = 8813
     allow: Annotated[str, typer.Option(help="Addresses or networks that may connect, with commas between.")] = ""
     ego_id: Annotated[str | None, typer.Option(help="The vehicle of the demand that the client drives.")] = None
     ego_type: Annotated[str | None, typer.Option(help="vType of the inserted ego (default: SUMO's car).")] = None
     may_set: Annotated[
-        str, typer.Option(help="What the client may set besides its own, with commas between: trafficlight, ..")
+        str, typer.Option(help="What the client may set besides its own vehicle, with commas between: trafficlight, ..")
     ] = ""
     on_loss: Annotated[
         OnLoss, typer.Option(help="Who drives while the client is lost or late: sumo, brake, or end.")
     ] = OnLoss.SUMO
-    real_time: Annotated[bool, typer.Option("--real-time", help="Simulated seconds last a second each.")] = False
+    real_time: Annotated[
+        bool, typer.Option("--real-time", help="Run in real time: a simulated second lasts a second.")
+    ] = False
     deadline: Annotated[
-        float | None, typer.Option(min=0.05, help="s the client may take for a step (default: 10, real time 2).")
+        float | None,
+        typer.Option(min=0.05, help="Seconds that the client may take for a step (default: 10, real time 2)."),
     ] = None
     patience: Annotated[
-        float | None, typer.Option(min=0.1, help="s to wait for a client before giving up (default: for ever).")
+        float | None, typer.Option(min=0.1, help="Seconds to wait for a client before giving up (default: for ever).")
     ] = None
     traci_version: Annotated[
-        int, typer.Option(min=21, max=22, help="The newest that the client knows: 21 for Veins and the like.")
+        int, typer.Option(min=21, max=22, help="Newest TraCI version that the client knows: 21 for Veins and similar.")
     ] = 22
     encounters: Annotated[
         int | None, typer.Option(min=1, help="Number of encounters after which it ends (default: at Ctrl-C).")
@@ -176,7 +181,7 @@ class InputOptions:
     """Options of the simulation in which the client drives."""
 
     begin: opt.Begin = None
-    end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None
+    end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next simulation begins.")] = None
     density: opt.Density = None
     settings_file: opt.SettingsFile = None
 
@@ -222,7 +227,7 @@ def serve(
             typer.echo(note)
     if settings.adversaries > 1 and client.real_time:
         raise UsageError(
-            "With --real-time nothing waits until supports are predicted, so it allows one adversary only: leave out "
+            "With --real-time, nothing waits until supports are predicted, so it allows only one adversary: leave out "
             "--real-time or --adversaries."
         )
     if client.mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:

@@ -26,14 +26,15 @@ CASE_FILE, OUTCOME_FILE = "case.toml", "outcome.json"
 
 def sweep(
     given: Annotated[
-        Path, typer.Argument(metavar="CASE | RUN | SCENARIO", help="A kept case, a run's folder, or what run takes.")
+        Path, typer.Argument(metavar="CASE | RUN | SCENARIO", help="A kept case, a run's folder, or an input of run.")
     ],
     over: Annotated[
-        list[str], typer.Option(metavar="NAME=LOW:HIGH", help="A number of the attack or the scenario; twice for two.")
+        list[str],
+        typer.Option(metavar="NAME=LOW:HIGH", help="A number of the attack or the scenario to vary; twice for two."),
     ],
     ego: Annotated[str, typer.Option(help="The driver under test, or up to three with commas between.")],
     points: Annotated[
-        int, typer.Option(min=2, max=MAX_POINTS, help="Along each number; 17, 33 and 65 refine well.")
+        int, typer.Option(min=2, max=MAX_POINTS, help="Points along each number; 17, 33 and 65 refine well.")
     ] = 17,
     grid: Annotated[bool, typer.Option("--grid", help="Measure each point, not only those near the border.")] = False,
     avoid: Annotated[Until, typer.Option(help="The level that the attack must stay below.")] = Until.COLLISION,
@@ -55,7 +56,7 @@ def sweep(
         raise UsageError(f"A sweep has one number or two, and {len(over)} were given.")
     if not 1 <= len(drivers) <= MAX_DRIVERS:
         raise UsageError(
-            f"A picture has {MAX_DRIVERS} drivers at most, with the reference driver; {len(drivers)} are asked for."
+            f"A picture has at most {MAX_DRIVERS} drivers, with the reference driver; {len(drivers)} were given."
         )
     target = out or Path("runs") / f"sweep-{given.resolve().name.partition('.')[0]}"
     if (target / "sweep.json").exists() and not force:

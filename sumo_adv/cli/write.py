@@ -60,12 +60,12 @@ class RunOptions:
 
 @grouped
 def write(
-    words: Annotated[str | None, typer.Argument(help="What is to happen, in any language.")] = None,
+    words: Annotated[str | None, typer.Argument(help="What happens in the scenario, in any language.")] = None,
     report: Annotated[
         Path | None, option(INPUT_PANEL, "File with the words, such as a crash report.", default="none")
     ] = None,
     network: Annotated[
-        Path | None, option(INPUT_PANEL, "Your own network, on which it is to happen.", default="chosen by the model")
+        Path | None, option(INPUT_PANEL, "Your own network for the scenario.", default="chosen by the model")
     ] = None,
     *,
     output: OutputOptions,
@@ -74,14 +74,14 @@ def write(
     force: Annotated[bool, option(OUTPUT_PANEL, "Replace the scenario and the folder of its run.", "--force")] = False,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Make a scenario of words with a language model, run it, and say whether what happened is what was asked for."""
+    """Make a scenario from words with a language model, run it, and report whether the result fits the words."""
     from sumo_adv.words.request import checked_words, needs_model
 
     request = checked_words(_request(words, report))
     settings = load_settings(settings_file, **named_settings(run))
     model = settings.player("analyzer")
     if model is None:
-        raise needs_model("Making a scenario of words", request)
+        raise needs_model("Making a scenario from words", request)
     out, folder = output.out, output.folder
     if out.suffix != ".toml" or not out.stem:
         raise UsageError(f"The scenario {out} needs the ending .toml.")
@@ -97,27 +97,27 @@ def _request(words: str | None, report: Path | None) -> str:
         UsageError: Both or none are given, or the report cannot be read.
     """
     if (words is None) == (report is None):
-        raise UsageError('Say what is to happen, as sumo-adv write "A car cuts in.", or give --report FILE, not both.')
+        raise UsageError('Give either words, such as sumo-adv write "A car cuts in.", or --report FILE, not both.')
     if report is None:
         return words or ""
     try:
         data = report.read_bytes()[: MAX_REPORT_BYTES + 1]
         if len(data) > MAX_REPORT_BYTES:
             raise UsageError(
-                f"The report {report} has more than {MAX_REPORT_BYTES} bytes; give the part that tells it."
+                f"The report {report} has more than {MAX_REPORT_BYTES} bytes; give the part with the motion."
             )
         return data.decode("utf-8")
     except OSError as error:
         raise UsageError(f"The report {report} cannot be read: {error.strerror or error}.") from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"The report {report} is no text in UTF-8.") from error
+        raise UsageError(f"The report {report} is not text in UTF-8.") from error
 
 
 def _refuse_what_is_there(out: Path, folder: Path, *, force: bool) -> None:
     """Refuse to replace files unless ``force`` is given."""
     taken = [p for p in (out, *_beside(out), folder) if p.exists()]
     if taken and not force:
-        raise UsageError(f"{taken[0]} is there already; give another --out, or --force to replace it.")
+        raise UsageError(f"{taken[0]} already exists; give another --out, or --force to replace it.")
 
 
 def _beside(scenario: Path) -> list[Path]:

@@ -129,7 +129,7 @@ class Scenes:
             UsageError: The ego is off the road, so there is no path.
         """
         if seen.path is None or seen.road is None:
-            raise UsageError("Off the road there is no CommonRoad scene: return None where observation.path is None.")
+            raise UsageError("Off the road, there is no CommonRoad scene: return None if observation.path is None.")
         path = _reference_path(np.array(seen.path))
         scenario = Scenario(self._step)
         scenario.add_objects(self.lanelet_network(seen.road.lanes))

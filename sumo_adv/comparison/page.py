@@ -24,7 +24,7 @@ from sumo_adv.report.staging import staged
 COMPARISON_NOTE = (
     "Rates: Wilson's 95 % interval. Means and differences: bootstrap, paired, 95 %; p: McNemar's exact test of rates, "
     "the sign-flip test of means (exact up to 13 encounters); "
-    f"without an interval where there are fewer than {MIN_PAIRS} encounters."
+    f"without an interval if there are fewer than {MIN_PAIRS} encounters."
 )
 MAX_CHANGES_SHOWN = 30  # in Markdown
 ReplayLink = Callable[[Compared], str | None]
@@ -93,8 +93,8 @@ def notes(done: Comparison) -> list[str]:
         if a or b:
             sentences.append(f"{label[0].upper()}{label[1:]}: {a} of {done.names[0]}, {b} of {done.names[1]}.")
     if any(failed) or any(missed):
-        sentences.append("In the rates these count as not hit.")
-        sentences.append("Means leave out encounters that failed, or in which one side alone was attacked.")
+        sentences.append("In the rates, these count as not hit.")
+        sentences.append("Means leave out encounters that failed, or in which only one side was attacked.")
     return sentences
 
 

@@ -52,20 +52,20 @@ FINDING_MEANINGS: Mapping[FindingKind, str] = {
     FindingKind.LEAVES_ROAD: "It does not follow its path; check the frame (headings in rad, counter-clockwise "
     "from +x), the reference point (the centre of the box), and the steering (rad, left positive). In a turn "
     "alone: it is too fast, or looks too far ahead and cuts the corner.",
-    FindingKind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or "
-    "across it; check the sign of its lateral offsets (left positive) and which lanes it is told.",
-    FindingKind.LINE: "It passes a line at which a light or a right of way has it wait; stop there while "
+    FindingKind.LEAVES_LANE: "Its centre is not on a lane that leads its way, so it drives against the traffic or "
+    "across it; check the sign of its lateral offsets (left positive) and which lanes it is given.",
+    FindingKind.LINE: "It passes a line at which it must wait for a light or the right of way; stop there while "
     "observation.road.must_wait is true (road.stop_lines says how far the line is), or answer LaneSpeed, which "
     "SUMO limits.",
-    FindingKind.STANDS: "It stands where SUMO's driver goes on; check what it takes for an obstacle or for a "
+    FindingKind.STANDS: "It stands where SUMO's driver drives on; check what it takes for an obstacle or for a "
     "stop line, and whether its speeds are in m/s.",
     FindingKind.SLOW: "It covers less than half of the way of SUMO's driver, and a slow ego meets other attacks; "
     "check its desired speed (m/s) and the speed limit that it is given.",
     FindingKind.JUMPS: "A Pose is where the ego's centre is after the step of dt seconds; return a pose that a "
     "car can reach from observation.ego in that time.",
-    FindingKind.TIME_BASE: "It drives otherwise if only the clock is ahead, so it takes observation.time for the "
+    FindingKind.TIME_BASE: "It drives differently if only the clock is ahead, so it takes observation.time for the "
     "time since the start or since its plan began; subtract the time of that moment from it.",
-    FindingKind.RESET: "After reset the same object drives otherwise than a new one; forget plan, controller and "
+    FindingKind.RESET: "After reset, the same object drives differently from a new one; forget plan, controller and "
     "last observation in reset, because each attempt is a run of its own.",
     FindingKind.RANDOM: "Two new drivers drive the same scenario differently, so no attack on it can be "
     "repeated; seed its random numbers in reset(seed), and let no wall clock or thread decide.",
@@ -258,12 +258,10 @@ class AnswerTimes:
     def words(self) -> str:
         """The times in words, on one line."""
         quantiles = f"median {self.median:.2g} ms, 99 % within {self.p99:.2g} ms"
-        line = f"An answer takes {self.mean:.2g} ms in the mean ({quantiles})."
+        line = f"An answer takes {self.mean:.2g} ms on average ({quantiles})."
         if self.plans > PLANNING_SHARE * self.count:
             return line
-        return (
-            f"{line} One in {self.count / self.plans:.3g} is a plan, which takes {self.plan_mean:.2g} ms in the mean."
-        )
+        return f"{line} One in {self.count / self.plans:.3g} is a plan, which takes {self.plan_mean:.2g} ms on average."
 
 
 def answer_times(drives: Sequence[UnattackedDrive]) -> AnswerTimes | None:

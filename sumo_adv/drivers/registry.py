@@ -115,7 +115,7 @@ class UserEgo:
             if value is None and isinstance(action, LaneSpeed):
                 continue
             if not isinstance(value, int | float):
-                wrong = f"a number of it is of the type {type(value).__name__}: say float(...)"
+                wrong = f"one of its numbers has the type {type(value).__name__}: use float(...)"
                 raise DriverError(f"The ego {self._spec!r} returned {action!r} {at}; {wrong}.")
             if not math.isfinite(value) or abs(value) > MAX_ACTION_NUMBER:
                 raise DriverError(
@@ -407,8 +407,8 @@ def pack_driver(ego: Any) -> GivenEgo:
         return GivenEgo(name, made, cloudpickle.dumps(ego))
     except Exception as error:  # whatever the user's object raises
         raise UsageError(
-            f"The ego {name!r} cannot be sent to the engine's process ({in_one_line(error)}): make in reset what "
-            "cannot be copied, or give the class instead of an object."
+            f"The ego {name!r} cannot be sent to the engine's process ({in_one_line(error)}): make what cannot be "
+            "copied in reset, or give the class instead of an object."
         ) from error
 
 

@@ -31,7 +31,7 @@ def with_sensors(driver: EgoController, settings: Settings) -> tuple[EgoControll
     if not driver.needs_observation or isinstance(driver, ReplayEgo):
         if settings.ego_sensing.is_on or settings.ego_latency:
             raise UsageError(
-                f"The ego {driver.name!r} is driven by SUMO or by a log, which look at no observation: ego_sensing and "
+                f"The ego {driver.name!r} is driven by SUMO or by a log, which use no observation: ego_sensing and "
                 "ego_latency need a driver with act."
             )
         return driver, None

@@ -189,7 +189,7 @@ def why_nobody(tracks: Mapping[str, Track], ego: str, time: float, acceleration:
         return "no vehicle near is on a way that meets the ego's path in time"
     return (
         f"no vehicle can reach the ego: '{nearest.vehicle}' comes nearest, and is {nearest.short:.1f} m short at "
-        f"{nearest.time:.1f} s though it speeds up by {acceleration:g} m/s2 all the time"
+        f"{nearest.time:.1f} s even if it accelerates at {acceleration:g} m/s2 all the time"
     )
 
 

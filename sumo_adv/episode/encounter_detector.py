@@ -167,7 +167,7 @@ class EncounterDetector:
         if self.outside:
             return self.outside
         if not self._path:
-            return "The ego is on no road, or does not move in what is left of its log."
+            return "The ego is on no road, or does not move in the rest of its log."
         if not self._near_one:
             return f"No vehicle comes within {NEAR_DISTANCE_M:.0f} m of the ego."
         if not self._moved:

@@ -106,7 +106,7 @@ class EncounterSearch:
         while drive.now < task.end:
             if time.perf_counter() >= ends_at:
                 return NoEncounter(
-                    Ending.NO_ENCOUNTER, f"The time was used up before an encounter came ({drive.now:.0f} s)."
+                    Ending.NO_ENCOUNTER, f"The time was used up before an encounter began ({drive.now:.0f} s)."
                 )
             snapshot = drive.tick()
             step = len(drive.recording.snapshots)
@@ -176,7 +176,7 @@ class EncounterSearch:
         """Return whether the requested ego is there and its driver may take over now."""
         drive, earliest = self.drive, self.task.driven_from
         if requested in drive.obstacles:
-            raise UsageError(f"'{requested}' is no vehicle, so it cannot be the ego; name another.")
+            raise UsageError(f"'{requested}' is not a vehicle, so it cannot be the ego; name another.")
         there = requested in drive.snapshot.raw and drive.may_take_over(requested)
         return there and (earliest is None or drive.now >= earliest - 1e-6)
 

@@ -343,9 +343,11 @@ def recorded_encounter(finder: EncounterFinder, proposal: Proposal, skips: int) 
         return None
     if proposal.delay not in record.found.situations:
         raise UsageError(
-            f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed."
+            f"The manifest's delay of {proposal.delay:g} s is not one of the run's delays, so it cannot be replayed."
         )
     for bv in proposal.bvs:
         if bv not in record.found.situations[proposal.delay].targets:
-            raise UsageError(f"The manifest's vehicle '{bv}' is none of the run's, so it cannot be replayed.")
+            raise UsageError(
+                f"The manifest's vehicle '{bv}' cannot attack in the run, so the attempt cannot be replayed."
+            )
     return record

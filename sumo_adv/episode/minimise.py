@@ -153,7 +153,7 @@ def minimise_episode(
     record = recorded_encounter(finder, proposal, skips)
     if record is None:
         why = "" if finder.stop is None else finder.stop.reason
-        raise UsageError(f"The encounter did not come back ({why}), so there is nothing to minimise.")
+        raise UsageError(f"The encounter did not recur ({why}), so there is nothing to minimise.")
     found, level, done = record.found, settings.until.level, Refinement(goal=settings.goal)
     reached, met = settings.goal.reached, settings.goal.met
     runner = runner_of(engine, sandbox, found, settings)

@@ -197,7 +197,7 @@ def _with_request(record: EncounterRecord, settings: Settings, agents: Agents) -
     if settings.ask is None:
         return record
     if agents.asked is None:  # no model, or one that failed and was replaced
-        raise needs_model("An attack asked for in words", settings.ask)
+        raise needs_model("An attack in words", settings.ask)
     record = replace(record, request=Request(agents.asked, settings.ask, agents.why_not))
     if not agents.why_not:
         return record

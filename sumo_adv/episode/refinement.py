@@ -176,7 +176,7 @@ class Refiner:
             if self._late(began, done):
                 break
             if self._another and (vain := _in_vain(done)):
-                done.reason = f"The last {vain} attempts came to no more, and another encounter may come."
+                done.reason = f"The last {vain} attempts brought no improvement, and another encounter may follow."
                 break
             plans = self._next(optimizer, done)
             if not plans:

@@ -126,7 +126,7 @@ class RoadNow(Road):
         if self._here.drive.now != self._time:
             raise SimulationError(
                 f"observation.road of {self._time:g} s was read at {self._here.drive.now:g} s: "
-                "read what you need in the act that got it"
+                "read what you need in the call of act that got it"
             )
         return self._here
 

@@ -372,5 +372,5 @@ class SensesNow:
         if self._drive.now != self._time:
             raise SimulationError(
                 f"{what} of an observation of {self._time:g} s was read at {self._drive.now:g} s: "
-                "read what you need in the act that got it"
+                "read what you need in the call of act that got it"
             )

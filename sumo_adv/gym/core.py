@@ -139,7 +139,7 @@ class Core:
         Raises:
             UsageError: An agent's action is missing, has another shape or is not finite. Nothing has moved then.
         """
-        assert self._played is not None and self._last is not None, "reset comes before step"
+        assert self._played is not None and self._last is not None, "call reset before step"
         if missing := self._counts.keys() - actions.keys():
             raise UsageError(f"The agent {min(missing)!r} has no action: give one of every agent in each step.")
         numbers = {agent: checked_action(agent, actions[agent], count) for agent, count in self._counts.items()}

@@ -400,7 +400,7 @@ class Hunt:
         state = read_object(file, "The state of the hunt")
         if state.get("schema") != HUNT_SCHEMA or state.get("plan") != json.loads(json.dumps(told)):
             raise UsageError(
-                f"{self.folder} holds a hunt with other inputs, egos or settings: say the same, or give another --out."
+                f"{self.folder} holds a hunt with other inputs, egos or settings: give the same ones, or another --out."
             )
         return state
 

@@ -137,7 +137,7 @@ def over_time(hunt: Path) -> list[AfterRound]:
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{file} is damaged ({error}).") from error
     if not after:
-        raise UsageError(f"The hunt in {hunt} has finished no round: say its command again.")
+        raise UsageError(f"The hunt in {hunt} has finished no round: rerun its command.")
     return after
 
 

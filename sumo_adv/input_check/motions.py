@@ -66,7 +66,7 @@ class MotionComparison:
         if self.worst is not None and self.position > SAME_MOTION_TOLERANCE:
             words += f" ({self.worst[0]} at {self.worst[1]:.1f} s)"
         for what, names in (
-            ("never here", self.missing), ("here alone", self.additional), ("not in the same steps", self.absent)
+            ("never here", self.missing), ("only here", self.additional), ("not in the same steps", self.absent)
         ):  # fmt: skip
             if names:
                 words += f"; {what}: {listed(names)}"

@@ -233,7 +233,7 @@ def _read(path: Path, of_file: str) -> tuple[str, list[Exchange]]:
     lines = text.split("\n")[:-1]
     header = _json(lines[0]) if lines else None
     if not isinstance(header, dict) or header.get("kind") != KIND:
-        raise UsageError(f"The file {path} is no recording of this program; give the model.jsonl of a run.")
+        raise UsageError(f"The file {path} is not a recording of this program; give the model.jsonl of a run.")
     if header.get("schema") != RECORDING_SCHEMA:
         raise UsageError(
             f"The recording {path} has schema {header.get('schema')!r}, but this program reads {RECORDING_SCHEMA}; "

@@ -93,8 +93,8 @@ def read_body(raw: str) -> tuple[dict[str, Any] | None, str]:
     try:
         value = json.loads(raw)
     except (ValueError, RecursionError):
-        return None, "its body is no JSON" if raw.strip() else "its body is empty"
-    return (value, "") if isinstance(value, dict) else (None, "its body is no JSON object")
+        return None, "its body is not JSON" if raw.strip() else "its body is empty"
+    return (value, "") if isinstance(value, dict) else (None, "its body is not a JSON object")
 
 
 def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> ChatReply:

@@ -293,7 +293,7 @@ class MemoryBank:
             known_planner = rows.read_planner(self._connection, label, evidence.planner_hash)
             if known_intent is None or known_planner is None:
                 missing = "intent" if known_intent is None else "planner"
-                raise BankError(f"The memory bank has no such {missing} as the evidence for {evidence.label!r} names.")
+                raise BankError(f"The memory bank lacks the {missing} that the evidence for {evidence.label!r} names.")
             rows.insert_evidence(self._connection, evidence, stamp)
             known_intent = rows.read_intent(self._connection, label) or known_intent
         self._remember(rows.stored(evidence, known_intent.label, stamp), known_intent, *known_planner)

@@ -164,7 +164,7 @@ def _read_text(file: Path, limit: int) -> str:
         if file.is_symlink() or not file.is_file():
             raise BankError(f"{file} is not a plain file; a bank in text holds plain files only.")
         if file.stat().st_size > limit:
-            raise BankError(f"{file} is larger than {limit} bytes, which no such file needs to be.")
+            raise BankError(f"{file} is larger than {limit} bytes, the limit for such a file.")
         return file.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise BankError(f"{file} is not text in UTF-8.") from error
@@ -258,7 +258,7 @@ def _planner(path: Path, text: str, label: str, details: Mapping[str, str], pars
     try:
         parameters = parse(text)
     except SumoAdvError as error:
-        raise BankError(f"{path} is no planner: {error}") from error
+        raise BankError(f"{path} is not a planner: {error}") from error
     mode = details.get("mode", path.stem)
     return Planner(label, mode, text, parameters, details.get("origin", "seed"), details.get("parent"))
 
@@ -399,7 +399,7 @@ def read_evidence(
                 evidence.append(_evidence(dict(zip(EVIDENCE_FILE_COLUMNS, row, strict=True)), label, hashes))
             except (ValueError, KeyError, TypeError, RecursionError, BankError) as error:
                 fault = str(error).rstrip(".")
-                raise BankError(f"{where}, line {lines.line_num}, is no evidence: {fault}.") from error
+                raise BankError(f"{where}, line {lines.line_num}, is not evidence: {fault}.") from error
     except csv.Error as error:
         raise BankError(f"{where} cannot be read as CSV: {error}.") from error
     return tuple(evidence)
@@ -436,7 +436,7 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
 def _flag(text: str) -> bool:
     """Parse a flag: 1 or 0."""
     if text not in ("0", "1"):
-        raise ValueError(f"yes or no is 1 or 0, not {text[:20]!r}")
+        raise ValueError(f"yes or no must be 1 or 0, not {text[:20]!r}")
     return text == "1"
 
 

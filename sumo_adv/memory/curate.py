@@ -75,7 +75,7 @@ def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
             common = set(stored.intent.applies) & set(active[neighbour].intent.applies)
             if neighbour != label and common and distance <= DUPLICATE_EPSILON_SHARE * bank.epsilon()[0]:
                 into, later = sorted((label, neighbour), key=places.__getitem__)
-                proposals[later, into] = MergeProposal(later, into, distance, "they say nearly the same")
+                proposals[later, into] = MergeProposal(later, into, distance, "their descriptions are nearly the same")
     for labels in texts.values():
         for later in labels[1:]:
             proposals[later, labels[0]] = MergeProposal(later, labels[0], 0.0, "they have a planner with the same text")

@@ -75,7 +75,7 @@ def absorb(
         if stored.merged_into is not None and key not in content.intents:
             if rows.read_intent(connection, stored.merged_into) is None:
                 raise BankError(
-                    f"The intent {stored.intent.label!r} is merged into {stored.merged_into!r}, which is not there."
+                    f"The intent {stored.intent.label!r} is merged into {stored.merged_into!r}, which does not exist."
                 )
             rows.write_setting(connection, f"{rows.MERGED_KEY_PREFIX}{key}", stored.merged_into)
     for composition in compositions:
@@ -211,7 +211,7 @@ def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back
     gone = gone - touched if back else gone | touched
     left = [planner for planner in planners if planner.hash not in gone]
     if back and not left:
-        raise BankError(f"The intent {record.label!r} has no active planner; say --mode to bring one back too.")
+        raise BankError(f"The intent {record.label!r} has no active planner; give --mode to bring one back, too.")
     if mode is None or back or not left:
         rows.set_intent_status(connection, key, status)
 

@@ -67,7 +67,11 @@ def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
         BankError: The folder exists without ``force``, or holds anything but an export.
     """
     if folder.exists() and not (force and _is_export(folder)):
-        sentence = "is no export and stays as it is" if force else "exists; say --force to replace an earlier export"
+        sentence = (
+            "is not an export, so it is not replaced; give another folder"
+            if force
+            else "already exists; give --force to replace an earlier export"
+        )
         raise BankError(f"The folder {folder} {sentence}.")
     stored_intents = sorted(bank.stored_intents(), key=lambda stored: canonical(stored.intent.label))
     slugs: set[str] = set()

@@ -187,7 +187,7 @@ def migrate(
     rows = connection.execute("SELECT name FROM migrations ORDER BY name").fetchall()
     if [row[0] for row in rows] != sorted(m.name for m in migrations):
         raise BankError(
-            f"The memory bank {name} was made by another line of this program: export it there, import it here."
+            f"The memory bank {name} was made by another branch of this program: export it there, import it here."
         )
     return applied
 

@@ -350,7 +350,7 @@ def _table(value: Any, kinds: Mapping[str, type]) -> Mapping[str, Any]:
         raise ValueError(f"a table of a composition must hold {', '.join(kinds)} and nothing else")
     wrong = [key for key, kind in kinds.items() if not isinstance(value[key], kind) or isinstance(value[key], bool)]
     if wrong:
-        raise ValueError(f"the value of {wrong[0]} in a composition is of another kind")
+        raise ValueError(f"the value of {wrong[0]} in a composition has the wrong type")
     return value
 
 

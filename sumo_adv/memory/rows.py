@@ -58,7 +58,7 @@ def _planner(
         raise ValueError("the parameters of a planner must be lists of name, default, low, high, unit and meaning")
     made = Planner(label, mode, text, tuple(Parameter(*each) for each in table), origin, parent)
     if made.hash != planner_hash:
-        raise ValueError(f"the planner {mode[:80]!r} has another text than its hash says")
+        raise ValueError(f"the planner {mode[:80]!r} has a text that does not match its hash")
     _check_parameters(made)
     return made
 

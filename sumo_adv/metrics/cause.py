@@ -321,18 +321,19 @@ def _avoids(check: Counterfactual, first: int, braking: float) -> bool:
 
 
 def _sentence(c: Cause, met: bool) -> str:
-    moment = "the contact" if met else "the least TTC"
+    moment = "the contact" if met else "the minimum TTC"
     if c.kind is CauseKind.STEERED_IN:
         return f"Your driver steered into the adversary's path, {abs(c.shift or 0.0):.1f} m to the {_side(c)}."
     if c.kind is CauseKind.UNFORESEEABLE:
         unknown = c.alarm is None or c.moment - c.alarm < ZERO_IN_WORDS_S
         if unknown and c.began is not None:
-            return f"No danger showed to a careful driver before {moment}{', and what yours did was not enough' * met}."
+            too_little = ", and what your driver did was not enough" * met
+            return f"A careful driver would have seen no danger before {moment}{too_little}."
         if unknown or c.alarm is None:
             return f"No one could have known before {moment}."
         before = f"{c.moment - c.alarm:.1f} s before {moment}"
         if c.moment - c.alarm > HUMAN_REACTION_S + IN_TIME_S:
-            return f"A danger showed to a careful driver {before}, but none that made it brake."
+            return f"A careful driver would have seen a danger {before}, but none that made it brake."
         return f"No one could have known earlier than {before}."
     careful = DRIVER_WORDS.get(c.reference, f"the reference driver {c.reference}")
     if c.kind is CauseKind.NO_REACTION:
@@ -350,8 +351,8 @@ def _sentence(c: Cause, met: bool) -> str:
         if c.stopped:
             return f"Your driver stopped, and drove on {let_go}."
         when = "in time" if after <= IN_TIME_S + 1e-9 else later
-        enough = "; held, it would have been enough" * c.held
-        return f"Your driver braked {when}, at {c.braking or 0.0:.1f} m/s2, and let go {let_go}{enough}."
+        enough = "; held, that braking would have been enough" * c.held
+        return f"Your driver braked {when}, at {c.braking or 0.0:.1f} m/s2, and released the brake {let_go}{enough}."
     if c.kind is CauseKind.BRAKED_IN:
         return f"Your driver braked into the adversary's path, {did[1]}{_enough_words(c, met)}."
     if c.kind is CauseKind.NO_SWERVE:
@@ -368,11 +369,11 @@ def _all_the_same(c: Cause, check: Counterfactual, begin: float) -> str:
     station, speed, _ = check.roll_out(CcHuman)
     contact = float(check.moving(station, speed).contact[0])
     if not math.isfinite(contact):
-        return f"{braked}, and avoids the adversary's recorded motion."
+        return f"{braked}, and would have avoided the adversary's recorded motion."
     pace = float(np.interp(contact, check.time, speed[0]))
     later = begin + contact - (c.careful or 0.0)
     hit = "standing" if pace < STOPPED_EGO_MAX_SPEED_M_S else f"at {pace:.1f} m/s"
-    return f"{braked}, and is hit all the same {later:.1f} s later, {hit}."
+    return f"{braked}, but would still have been hit {later:.1f} s later, {hit}."
 
 
 def _did(c: Cause, moment: str) -> tuple[str, str, str]:
@@ -380,7 +381,7 @@ def _did(c: Cause, moment: str) -> tuple[str, str, str]:
     if c.action is Action.STEERED:
         braking = "" if c.braking is None else f", braking at {c.braking:.1f} m/s2"
         return "steer away", f"by {abs(c.shift or 0.0):.1f} m to the {_side(c)}{braking}", "steered away"
-    let_go = "" if c.let_go is None else f", and let go {c.moment - c.let_go:.1f} s before {moment}"
+    let_go = "" if c.let_go is None else f", and released the brake {c.moment - c.let_go:.1f} s before {moment}"
     return "brake", f"at {c.braking or 0.0:.1f} m/s2{let_go}", "braked"
 
 

@@ -86,7 +86,7 @@ def columns_by_vehicle(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         UsageError: The table has no column ``id``, or a column of another length.
     """
     if "id" not in table:
-        raise UsageError("The table has no column 'id': it tells the vehicles apart.")
+        raise UsageError("The table has no column 'id', which tells the vehicles apart: add it.")
     names = np.array([str(v) for v in table["id"]])
     given = [key for key in (*NEEDED_COLUMNS, "z", "length", "width", "lane") if key in table]
     uneven = [key for key in given if np.size(table[key]) != len(names)]

@@ -62,7 +62,7 @@ class Discovery:
         """The chance and the bound in words."""
         if not self.samples:
             return "no encounter yet"
-        chance = f"the next encounter brings a new one with {100 * self.chance:.0f} %"
+        chance = f"the next encounter brings a new kind with a probability of {100 * self.chance:.0f} %"
         if not self.kinds:
             return chance
         return f"{chance}; at least {self.least:.0f} kinds ({self.low:.0f} to {self.high:.0f})"

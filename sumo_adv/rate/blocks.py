@@ -308,7 +308,7 @@ def block(sent: RateNodeContent, job: Block) -> Done:
         except (UsageError, OSError) as error:
             raise UsageError(f"On a node: {error}") from error
         if not same:
-            fault = f"On a node {sent.plan.source} has another content than here"
+            fault = f"On a node, the content of {sent.plan.source} differs from here"
             raise UsageError(f"{fault}; give all nodes the same files.")
         workers = LocalWorkers(sent.plan, sent.pace, desk_folder(), refuse_block, Stop(), BlockRunner)
         atexit.register(workers.close)

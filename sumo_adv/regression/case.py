@@ -79,7 +79,7 @@ class _Support(_Member):
     @model_validator(mode="after")
     def _no_collider(self) -> _Support:
         if self.role is Duty.COLLIDER:
-            raise ValueError("a support is no collider")
+            raise ValueError("a support is not a collider")
         return self
 
 

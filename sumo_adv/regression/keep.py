@@ -105,7 +105,7 @@ def _texts(
     encounter = outcome.get("encounter") or {}
     relations = {r["id"]: r["relation"] for r in encounter.get("ranking", ())}
     if not relations.keys() >= set(recorded.proposal.bvs):
-        raise UsageError(f"{run} does not say how its adversary stood to the ego; run the attack again.")
+        raise UsageError(f"{run} does not record the relation of its adversary to the ego; rerun the attack.")
     situation = _situation(run, recorded, outcome)
     return recorded, {
         SCENARIO_FILE: _scenario(recorded, outcome, suite),

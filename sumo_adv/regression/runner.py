@@ -177,7 +177,9 @@ def judged(case: KeptCase, measured: CaseMeasurements, before: CaseMeasurements 
         return JudgedCase(m, CaseResult.FAIL, f"The ego ran into {m.touched}.", before)
     if m.collided and m.failed_gates:
         gates = ", ".join(m.failed_gates)
-        return JudgedCase(m, CaseResult.INVALID, f"The adversary collides, but no car can drive so ({gates}).", before)
+        return JudgedCase(
+            m, CaseResult.INVALID, f"The adversary collides, but no car can drive like that ({gates}).", before
+        )
     remark = "The adversary runs into the ego's back, which is not held against the ego." if m.rear_end else ""
     why = _broken_expectation(case.expect, m, before)
     if not why and not m.near and case.level >= Level.COLLISION:
@@ -190,7 +192,7 @@ def _far(m: CaseMeasurements) -> str:
     arrives = f"The ego arrives {m.otherwise}" if m.otherwise else "The ego arrives as in the kept case"
     tries = f"{m.attempts} attempts" if m.attempts > 1 else "the attack"
     stays = "" if m.min_distance is None else f": it stays {m.min_distance:.0f} m away"
-    return f"{arrives}, and {tries} did not come near it{stays}."
+    return f"{arrives}, and {tries} did not come near the ego{stays}."
 
 
 def _broken_expectation(expect: Expectation, m: CaseMeasurements, before: CaseMeasurements | None) -> str:
@@ -199,7 +201,7 @@ def _broken_expectation(expect: Expectation, m: CaseMeasurements, before: CaseMe
         return f"The attack reaches {m.level}; it must stay below {expect.avoid}."
     counts = not m.rear_end and not m.failed_gates
     if expect.min_ttc is not None and counts and m.min_ttc is not None and m.min_ttc <= expect.min_ttc:
-        return f"The least TTC is {m.min_ttc:.2f} s; it must stay above {expect.min_ttc:g} s."
+        return f"The minimum TTC is {m.min_ttc:.2f} s; it must stay above {expect.min_ttc:g} s."
     return _worse(m, before) if expect.no_worse else ""
 
 
@@ -218,7 +220,7 @@ def _worse(measured: CaseMeasurements, before: CaseMeasurements | None) -> str:
     if before.broken or hit_before or measured.rear_end or measured.failed_gates:
         return ""
     lost = before.compared_ttc - measured.compared_ttc
-    return f"The least TTC is {lost:.2f} s lower than in the baseline." if lost > TTC_TOLERANCE_S else ""
+    return f"The minimum TTC is {lost:.2f} s lower than in the baseline." if lost > TTC_TOLERANCE_S else ""
 
 
 MEASURED = TypeAdapter(CaseMeasurements)

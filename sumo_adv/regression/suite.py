@@ -128,8 +128,8 @@ def run_suite(
     known = baseline or {}
     lacking = [case.name for case in cases if case.expect.no_worse and case.name not in known]
     if lacking:
-        advice = "give --baseline FILE" if baseline is None else "which the baseline lacks: run the baseline again"
-        raise UsageError(f"The case {lacking[0]} is to be no worse than a baseline; {advice}.")
+        advice = "give --baseline FILE" if baseline is None else "which the baseline lacks: rerun the baseline"
+        raise UsageError(f"The case {lacking[0]} must be no worse than a baseline; {advice}.")
     twice = [name for name, times in Counter(case.name for case in cases).items() if times > 1]
     if twice:
         raise UsageError(f"Two cases have the name {twice[0]}: rename the folder of one.")
@@ -209,11 +209,11 @@ def read_results(path: Path) -> dict[str, Any]:
             raise UsageError(f"{file} has schema {document['schema']}; this program reads {REGRESSION_SCHEMA}.")
         rows = list(document["cases"])
         if wrong := [name for name in (measured_of(row).case for row in rows) if not is_plain_name(name)]:
-            raise UsageError(f"{file} names the case {wrong[0]!r}, which is no folder's name; run the suite again.")
+            raise UsageError(f"{file} names the case {wrong[0]!r}, which is not a folder's name; rerun the suite.")
         return {**document, "cases": rows}
     except ValidationError as error:
         first = error.errors()[0]
-        raise UsageError(f"{file} has a bad '{dotted(first['loc'])}' ({first['msg']}); run the suite again.") from error
+        raise UsageError(f"{file} has a bad '{dotted(first['loc'])}' ({first['msg']}); rerun the suite.") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(
             f"{file} is not what sumo-adv regress writes ({error}); give its {REGRESSION_FILE}."

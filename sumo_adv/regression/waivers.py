@@ -78,7 +78,7 @@ def read_waivers(file: Path, cases: Collection[str], every: Collection[str], tod
     in_force, notes = dict[str, Waiver](), list[str]()
     for waiver in waivers:
         if waiver.case not in every:
-            notes.append(f"{file} waives the case '{waiver.case}', which the suite does not have: take it out.")
+            notes.append(f"{file} waives the case '{waiver.case}', which the suite does not have: remove the waiver.")
         elif waiver.until < now:
             notes.append(f"The waiver of the case '{waiver.case}' ended on {waiver.until}, so the case counts again.")
         elif waiver.case in in_force:
@@ -99,5 +99,5 @@ def _parsed(file: Path) -> _File:
         key = dotted(first["loc"])
         raise UsageError(
             f"The waivers {file} have a bad '{key}' ({first['msg'].removeprefix('Value error, ')}); each [[waive]] "
-            "needs case, reason and until (a date as 2027-01-31)."
+            "needs case, reason and until (a date such as 2027-01-31)."
         ) from error

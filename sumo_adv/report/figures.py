@@ -170,7 +170,7 @@ def read_story(folder: Path) -> Story:
         trigger, verdict = float(run.outcome["trigger_time"]), run.outcome["outcome"]
         attacked = _scene(run.best, ego, adversaries)
         if attacked is None:
-            raise UsageError(f"Ego or adversary is not in the states of the run in {run.folder}; run it again.")
+            raise UsageError(f"Ego or adversary is not in the states of the run in {run.folder}; rerun it.")
         contact = verdict["contact_time"]
         decisive = closest_time(*attacked.pair(), trigger) if contact is None else float(contact)
         end = min(decisive + SHOWN_AFTER_MOMENT_S, float(max(t.time[-1] for t in attacked.pair())))

@@ -121,7 +121,7 @@ def read_rows(file: Path) -> ResultsTable:
             varied = tuple(n for n in names if n.startswith(VARIED))
             return ResultsTable([_row(row, varied) for row in reader], varied)
     except (OSError, ValueError, csv.Error) as error:
-        raise UsageError(f"{file} is not the table of a batch ({error}); say the batch's command again.") from error
+        raise UsageError(f"{file} is not the table of a batch ({error}); rerun the batch's command.") from error
 
 
 def _row(row: Mapping[str, str | None], varied: Sequence[str]) -> dict[str, Any]:

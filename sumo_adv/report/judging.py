@@ -74,7 +74,7 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
     folders: list[Path] = []
     for folder in given:
         if not folder.is_dir():
-            raise UsageError(f"{folder} is no folder: give the folder of a run, or a folder that holds runs.")
+            raise UsageError(f"{folder} is not a folder: give the folder of a run, or a folder that holds runs.")
         inside = [folder] if (folder / OUTCOME_FILE).is_file() else sorted(p.parent for p in folder.rglob(OUTCOME_FILE))
         if not inside:
             raise UsageError(f"{folder} holds no run: there is no {OUTCOME_FILE} in it or below.")

@@ -193,7 +193,7 @@ def _agents(run: Run) -> dict[str, Any]:
     note = EXPERT_NOTE
     if models:
         parts = ", ".join(f"{role} {player}" for role, player in players.items())
-        note = f"Parts played at the end: {parts}; predictions and tuner are built in."
+        note = f"Agents at the end: {parts}; predictions and tuner are built in."
     return {
         **players, "tuner": run.settings.tuner, "note": note,
         "calls": dict.fromkeys(AGENT_ROLES, 0) if agents is None else agents.calls,

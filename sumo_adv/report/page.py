@@ -442,7 +442,7 @@ def _moments(outcome: Mapping[str, Any], attempts: Sequence[ShownAttempt]) -> li
     if best is not None and best.closest is not None and verdict.get("contact_time") is None:
         moments.append(("closest", "closest approach", best.closest[0]))
     if best is not None and verdict.get("contact_time") is None and verdict.get("min_ttc_time") is not None:
-        moments.append(("min_ttc", "least TTC", verdict["min_ttc_time"]))
+        moments.append(("min_ttc", "minimum TTC", verdict["min_ttc_time"]))
     raw = shown.get("raw")
     if best is not None and raw is not None and raw.closest is not None:
         moments.append(("raw_closest", "closest approach, unattacked", raw.closest[0]))

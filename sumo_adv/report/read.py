@@ -161,7 +161,7 @@ def _json(file: Path) -> dict[str, Any]:
 
 def damaged(file: Path, error: Exception | str) -> UsageError:
     """Return the error that says that a file cannot be used."""
-    return UsageError(f"{file} is damaged ({error}); run it again, or restore the file from a copy.")
+    return UsageError(f"{file} is damaged ({error}); rerun it, or restore the file from a copy.")
 
 
 @contextmanager
@@ -182,7 +182,7 @@ def reading(folder: Path) -> Iterator[None]:
         raise
     except Exception as error:
         message = f"{type(error).__name__}: {error}"[:200].replace("\n", " ")
-        raise UsageError(f"The run in {folder} is not as this program writes it ({message}); run it again.") from error
+        raise UsageError(f"The run in {folder} is not as this program writes it ({message}); rerun it.") from error
 
 
 def columns_of(file: Path, expected: str = STATES_HEADER) -> dict[str, tuple[str, ...]]:

@@ -215,7 +215,7 @@ def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise UsageError(
-            f"{file} is not as this program writes it ({type(error).__name__}: {error}); run it again."
+            f"{file} is not as this program writes it ({type(error).__name__}: {error}); rerun it."
         ) from error
 
 

@@ -91,7 +91,7 @@ def staged(target: Path, *, force: bool, inside: bool = False) -> Iterator[RunFo
         SumoAdvError: There is no space left.
     """
     if target.exists() and not force:
-        raise UsageError(f"The output folder {target} is there already; give another --out, or --force to replace it.")
+        raise UsageError(f"The output folder {target} already exists; give another --out, or --force to replace it.")
     if (target.exists() or target.is_symlink()) and not inside:
         check_replaceable(target)
     made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
@@ -128,5 +128,5 @@ def scratch_folder() -> Iterator[Path]:
 def _sentence(error: OSError, target: Path) -> SumoAdvError:
     """Convert an OSError to an error of this program."""
     if error.errno in FULL:
-        return SumoAdvError(f"There is no space left to write {target}; free some or give another --out.")
+        return SumoAdvError(f"There is no space left to write {target}; free some space, or give another --out.")
     return UsageError(f"The output folder {target} cannot be written ({error.strerror or error}); give another --out.")

@@ -56,7 +56,7 @@ def unpredicted_intents(templates: Sequence[AttackTemplate]) -> list[Intent]:
     """
     first = {(t.target.state.id, t.entry.label): t for t in reversed(templates)}
     ordered = sorted(first.values(), key=lambda t: (-t.target.risk, t.target.state.id, t.entry.label))
-    reason = "not predicted: the driver is not known, so it is asked by attempts"
+    reason = "not predicted: the driver is not known, so only attempts show how it reacts"
     return [
         Intent(t.target.state.id, t.entry.label, t.entry.description, "medium", t.proposal(None).acceleration, reason)
         for t in ordered
@@ -83,7 +83,7 @@ def _intent(members: Sequence[Proposal], description: str, settings: SearchSetti
     made = [p.prediction for p in members if p.prediction is not None and not p.prediction.failure]
     least = min((prediction.min_ttc for prediction in made), default=NO_CONFLICT_TTC_S)
     met = sum(p.score < settings.reaches for p in members)
-    reason = f"predicted: {_counts(goal, met, avoidable, len(members))}; least TTC {least:.2f} s"
+    reason = f"predicted: {_counts(goal, met, avoidable, len(members))}; min TTC {least:.2f} s"
     return Intent(best.bv, best.label, description, risk, best.acceleration, reason)
 
 

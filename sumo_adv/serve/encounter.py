@@ -125,7 +125,7 @@ class EncounterMonitor:
                 return f"{name} is gone"
             away, faster = apart(tracks, session.state(name), session.now)
             if away > STRAYED[0] or faster > STRAYED[1]:
-                return f"{name} is {away:.1f} m and {faster:.1f} m/s from where it was foreseen"
+                return f"{name} is {away:.1f} m and {faster:.1f} m/s from its predicted position and speed"
         present = {c.id: c.relation for c in EncounterDetector(self._road, len(raw), (bv,)).rank(session)}
         now = present.get(bv, "out of reach")
         return "" if now == relation else f"{bv} is no longer {relation} but {now}"
@@ -227,7 +227,7 @@ class LiveAttempts:
                 self.session = self._again()
             self._count += 1
             if self.session is None:
-                nowhere = Driven("passed", "The encounter did not come back: the ego was elsewhere at its time.")
+                nowhere = Driven("passed", "The encounter did not recur: the ego was elsewhere at that time.")
                 self.prefixes.append(())
                 yield AttemptResult(nowhere, None, self._scene.found.time)
             else:

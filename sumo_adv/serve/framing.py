@@ -130,7 +130,7 @@ def split(message: bytes) -> list[TraciCommand]:
                 raise FramingError("A command ends within its own length.")
             head, length = 5, _INT.unpack_from(message, at + 1)[0]
         if length <= head or at + length > end:
-            raise FramingError(f"A command announces {length} bytes where {end - at} are left.")
+            raise FramingError(f"A command announces {length} bytes, but only {end - at} are left.")
         if len(commands) == MAX_COMMANDS:
             raise FramingError(f"it sent a message of more than {MAX_COMMANDS} commands")
         raw = message[at : at + length]

@@ -64,7 +64,9 @@ class Gate:
         self._older = older
         self._allow = [_network(text) for text in allow]
         if not _is_loopback(host) and not self._allow:
-            raise UsageError(f"TraCI has no log-in: with the host {host} say which addresses may connect (--allow).")
+            raise UsageError(
+                f"TraCI has no log-in: for the host {host}, give the addresses that may connect (--allow)."
+            )
         self._seat = ClientSlot(on_event or (lambda event: None))
         self._changed = threading.Condition()
         self._stopping = self._running = False
@@ -297,7 +299,9 @@ def _is_loopback(host: str) -> bool:
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError as error:
-        raise UsageError(f"{host} is no address to listen at: give one of this machine, such as 127.0.0.1.") from error
+        raise UsageError(
+            f"{host} is not an address to listen at: give one of this machine, such as 127.0.0.1."
+        ) from error
 
 
 def _network(text: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:
@@ -305,4 +309,6 @@ def _network(text: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:
     try:
         return ipaddress.ip_network(text, strict=False)
     except ValueError as error:
-        raise UsageError(f"{text} is no address or network: give such as 192.168.1.7 or 192.168.1.0/24.") from error
+        raise UsageError(
+            f"{text} is not an address or network: give one such as 192.168.1.7 or 192.168.1.0/24."
+        ) from error

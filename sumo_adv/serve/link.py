@@ -68,14 +68,14 @@ class SumoLink:
         try:
             self._line.send(message, self._idle)
         except Gone as error:
-            raise SumoGone("SUMO is no more.") from error
+            raise SumoGone("SUMO has ended.") from error
 
     def _receive(self) -> bytes:
         """Receive a message."""
         try:
             return self._line.receive(self._idle)
         except (Gone, FramingError) as error:
-            raise SumoGone("SUMO is no more.") from error
+            raise SumoGone("SUMO has ended.") from error
 
     def ask(self, message: bytes) -> bytes:
         """Send a message, and return the answer.

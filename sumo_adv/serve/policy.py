@@ -36,10 +36,10 @@ _ADD, _REMOVE, _ADD_FULL, _COPY = 0x80, 0x81, 0x85, 0x88
 _GUI = 0xAC
 _CALIBRATOR = 0x07  # a context around one ends SUMO
 _ACTING = {(0xA2, 0x32): "trafficlight", (0xAE, 0xC7): "person"}  # getters that change something
-_TOO_LONG = "A name as long as this is not passed on: SUMO could end on it."
+_TOO_LONG = "A name this long is not passed on: it could crash SUMO."
 _NOT_A_CLIENTS = "This object is sumo_adv's own."
-_KEPT = "The ego departs and leaves by sumo_adv: its client neither adds nor removes it."
-_WRITES = "This parameter is not a client's: SUMO could write a file by it."
+_KEPT = "sumo_adv adds and removes the ego: its client can do neither."
+_WRITES = "A client cannot set this parameter: it could make SUMO write a file."
 _ODD_NAME = "An object that is added needs a name of printable characters in UTF-8."
 _DEVICES = "battery bluelight btreceiver btsender driverstate elechybrid emissions friction glosa rerouting taxi toc"
 _MODELS = ("carFollowModel", "laneChangeModel", "junctionModel", "parking")
@@ -122,7 +122,7 @@ class Policy:
         if number == framing.LOAD:
             return "The simulation belongs to sumo_adv: a client cannot load another one."
         if number == framing.EXECUTEMOVE:
-            return "Half steps are not for a client of sumo_adv: use simulationStep."
+            return "A client of sumo_adv cannot make half steps: use simulationStep."
         return None
 
     def _getter(self, number: int, payload: bytes) -> str | None:
@@ -148,7 +148,7 @@ class Policy:
         if len(name) > shapes.MAX_NAME_BYTES:
             return _TOO_LONG
         if domain in NEVER_SET:
-            return f"Setting the {domain} is not for a client of sumo_adv."
+            return f"A client of sumo_adv cannot set the {domain}."
         if name.startswith(OUR_PREFIX.encode()):
             return _NOT_A_CLIENTS
         if domain == "vehicle" and name in self._kept and variable in (_ADD, _ADD_FULL, _REMOVE):
@@ -157,7 +157,7 @@ class Policy:
             return _ODD_NAME
         if not (domain in self._rules.also or self._may(domain, variable, name)):
             said = name[:60].decode(errors="replace")
-            return f"{domain} {said!r} is not the client's: it may set its own vehicle and what it added."
+            return f"{domain} {said!r} is not the client's: a client may set its own vehicle and what it added."
         if expected is None or not shapes.fits(payload, end, expected):
             return _misfit(number)
         if any(not _may_be_set(key) for key in shapes.keys_set(payload, end, variable)):
@@ -192,7 +192,7 @@ class Policy:
         if len(payload) < end + 10 or not abs(struct.unpack_from("!d", payload, end + 1)[0]) <= shapes.MAX_NUMBER:
             raise Misfit
         if number == _CALIBRATOR or not shapes.context_fits(payload, end + 9, payload[end]):
-            return "A context cannot be of this domain, or not of these variables."
+            return "A context subscription cannot have this domain or these variables."
         return None
 
     def took(self, command: TraciCommand) -> None:
@@ -265,7 +265,7 @@ def _may_be_set(key: bytes) -> bool:
 
 def _misfit(number: int) -> str:
     """Return the refusal of a payload that does not fit."""
-    return f"What came with command 0x{number:02x} is not what SUMO 1.28 reads; it was not passed on."
+    return f"The content of command 0x{number:02x} is not what SUMO 1.28 reads; it was not passed on."
 
 
 def _is_printable(name: bytes) -> bool:

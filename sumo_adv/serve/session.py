@@ -74,7 +74,7 @@ def shared_sumo(
         except StrangerError as error:
             gate.detach(keep=True)
             sumo.close()
-            events.tell("stranger", tries=tries, sentence=f"{error} SUMO is started again.")
+            events.tell("stranger", tries=tries, sentence=f"{error} SUMO is restarted.")
         except BaseException:
             gate.detach()
             sumo.close()

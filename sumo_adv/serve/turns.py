@@ -115,7 +115,7 @@ class Turns:
             raise
         client.send(answer, self._time_left())
         if commands[-1].number == framing.CLOSE:
-            self._seat.leave(client, EventKind.CLOSED, f"The client at {client.peer} said close.")
+            self._seat.leave(client, EventKind.CLOSED, f"The client at {client.peer} closed the connection.")
 
     def _guarded(self, client: Client, talk: Callable[[Client], None]) -> None:
         """Talk with a client; if that fails, the client loses its seat."""

@@ -128,7 +128,7 @@ def generate_flows(network: Path, target: Path, *, density: float | None = None,
 def _routes_and_density(network: Path, draw: random.Random, density: float | None) -> tuple[list[Journey], float]:
     """Return the routes and the departures per minute, checked."""
     if density is not None and not 0.0 < density < float("inf"):
-        raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
+        raise UsageError(f"A density of {density:g} departures per minute cannot be used: give a positive number.")
     routes = journeys(network, draw)
     return routes, default_density(routes) if density is None else density
 
@@ -170,7 +170,7 @@ def journeys(network: Path, draw: random.Random) -> list[Journey]:
     try:
         net = sumolib.net.readNet(str(network))
     except (KeyError, ValueError) as error:
-        raise UsageError(f"The network {network} lacks what traffic is made from ({error}): build it again.") from error
+        raise UsageError(f"The network {network} lacks what traffic is made from ({error}): rebuild it.") from error
     edges = sorted((edge for edge in net.getEdges() if edge.allows("passenger")), key=lambda edge: str(edge.getID()))
     origins = [edge for edge in edges if not _passable(edge.getIncoming())]
     origins = [edge for edge in origins if edge.getLength() >= MIN_ORIGIN_LENGTH_M] or origins

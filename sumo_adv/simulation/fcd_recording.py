@@ -115,7 +115,7 @@ def read_recording(path: Path) -> FcdRecording:
             states[times[-1]] = attributes
 
     if path.name.lower().endswith((".csv", ".parquet", ".csv.gz")):
-        raise UsageError(f"{path} is no XML: let SUMO write the FCD into a file whose name ends in .xml or .xml.gz.")
+        raise UsageError(f"{path} is not XML: let SUMO write the FCD into a file whose name ends in .xml or .xml.gz.")
     parse_xml(path, start)
     if not vehicles:
         raise UsageError(f"{path} has no vehicle in a timestep; write it with sumo --fcd-output.")
@@ -134,7 +134,7 @@ def some(names: Sequence[str]) -> str:
 
 def _no_fcd(path: Path, why: str) -> UsageError:
     """Return the error that the file is no FCD."""
-    return UsageError(f"{path} is no FCD of SUMO ({why}); write it with sumo --fcd-output.")
+    return UsageError(f"{path} is not SUMO's FCD ({why}); write it with sumo --fcd-output.")
 
 
 def _time(path: Path, attributes: Mapping[str, str]) -> float:
@@ -206,7 +206,9 @@ def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap
     if not any(me.lanes):
         raise _no_fcd(path, f"'{ego}' has no lane; {MUST_NAME}")
     if not any(lane in road.lanes for lane in me.lanes):
-        raise UsageError(f"The vehicle '{ego}' is on no lane of {network.name} in {path}; is it that network's?")
+        raise UsageError(
+            f"The vehicle '{ego}' is on no lane of {network.name} in {path}; check that it is that network's."
+        )
     far = _from_lanes(me, road)
     if far <= MAX_LANE_OFFSET_M or not math.isfinite(far):
         return recording

@@ -116,7 +116,8 @@ def _said(unknown: Sequence[str]) -> list[str]:
         return []
     of = f"the types {some(unknown)}" if any(unknown) else "vehicles whose type the recording does not say"
     return [
-        f"No file says the size of {of}: {CAR_SIZE[0]:g} by {CAR_SIZE[1]:g} m are taken; name their file with --types."
+        f"No file says the size of {of}: {CAR_SIZE[0]:g} by {CAR_SIZE[1]:g} m are assumed; name "
+        "their file with --types."
     ]
 
 

@@ -185,7 +185,7 @@ def load_input(path: Path) -> RunInput:
     if lower.endswith(_NETWORK_SUFFIXES):
         scan_network(file)
         return RunInput(name=input_name(file), path=file, network=file, files=(file,))
-    raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg, scenario .toml, .xodr or .osm.")
+    raise UsageError(f"{file} is not an input: give a .net.xml, .net.xml.gz, .sumocfg, scenario .toml, .xodr or .osm.")
 
 
 def is_commonroad(path: Path) -> bool:

@@ -45,7 +45,7 @@ def parse_map(path: Path, start: Callable[[str, dict[str, str]], None], root: st
     def checked(tag: str, attributes: dict[str, str]) -> None:
         nonlocal seen
         if not seen and tag.rpartition(":")[2] != root:
-            raise UsageError(f"{path} is no map of its ending: its root element is <{tag[:40]}>, not <{root}>.")
+            raise UsageError(f"{path} is not a map as its ending says: its root element is <{tag[:40]}>, not <{root}>.")
         seen = True
         start(tag, attributes)
 

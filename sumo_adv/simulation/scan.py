@@ -143,9 +143,7 @@ def _check_lane(path: Path, lane: dict[str, str]) -> None:
 
 
 def _bad_lane(path: Path, lane: dict[str, str], what: str) -> str:
-    return (
-        f"The lane '{lane.get('id', '')[:80]}' of the network {path} {what}; build the network again with netconvert."
-    )
+    return f"The lane '{lane.get('id', '')[:80]}' of the network {path} {what}; rebuild the network with netconvert."
 
 
 def allows_passenger(lane: dict[str, str]) -> bool:
@@ -311,7 +309,7 @@ def _parse(
         if not file.is_file():
             raise UsageError(f"{path} names the file {file}, which is missing.")
         if file.resolve() in within:
-            raise UsageError(f"{path} names the file {file}, which includes it: take out one of the two.")
+            raise UsageError(f"{path} names the file {file}, which includes it: remove one of the two.")
         others[file] = None
         _parse(file, start, end, (*within, path.resolve()), others)
 
@@ -327,7 +325,7 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
 
     def no_declarations(name: str, system: str | None, public: str | None, inside: int) -> None:
         if system is not None or public is not None or inside:  # SUMO's reader would take elements from it
-            raise UsageError(f"{path} has a document type with declarations, which no file of SUMO needs: take it out.")
+            raise UsageError(f"{path} has a document type with declarations, which no file of SUMO needs: remove it.")
 
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = no_declarations

@@ -73,6 +73,6 @@ def check_nameable(file: Path) -> None:
     name = str(file)
     if not name.isprintable() or {",", ";"} & set(name) or VARIABLE in name or name.startswith(HOME):
         raise UsageError(
-            f"SUMO cannot be told the file {name!r}: rename it, or its folder, to a name in UTF-8 without commas, "
-            f"semicolons, control characters and '{VARIABLE}', and without '{HOME}' at its start."
+            f"SUMO cannot open a file with the name {name!r}: rename it, or its folder, to a name in UTF-8 without "
+            f"commas, semicolons, control characters and '{VARIABLE}', and without '{HOME}' at its start."
         )

@@ -110,11 +110,11 @@ def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str],
     silent = [text for text in left if text not in moving]
     if moving:
         said = (
-            f"Not kept of {configuration.name}, so traffic moves otherwise than in SUMO: {', '.join(moving)}.",
+            f"Not kept of {configuration.name}, so traffic moves differently than in SUMO: {', '.join(moving)}.",
             *said,
         )
     if silent:
-        said = (f"Not kept of {configuration.name}, as this program sets them itself: {', '.join(silent)}.", *said)
+        said = (f"Not kept of {configuration.name}, because this program sets them itself: {', '.join(silent)}.", *said)
     options = {name: value for name, value in given.items() if name not in own and name not in DECIDED}
     check(options)
     return {**options, **collisions}, said
@@ -124,7 +124,7 @@ COLLISIONS = ("collision.action", "collision.stoptime")
 DECIDED = frozenset((*COLLISIONS, "no-internal-links"))
 """Options of a .sumocfg whose value decides whether they are kept."""
 NO_JUNCTIONS = (
-    "SUMO dies when a vehicle is moved across a junction without lanes of its own; use a network that netconvert made "
+    "SUMO crashes if a vehicle is moved across a junction without lanes of its own; use a network that netconvert made "
     "without --no-internal-links, and leave that option out"
 )
 
@@ -147,10 +147,10 @@ def _collisions(file_name: str, given: Mapping[str, str]) -> tuple[dict[str, str
         return {name: given[name] for name in COLLISIONS if name in given}, ()
     if action not in ("teleport", "remove") and not stop.strip("0.:"):
         return {"collision.action": action}, ()
-    why = ", as SUMO looks for collisions on junctions" if on_junctions else ""
+    why = ", because SUMO looks for collisions on junctions" if on_junctions else ""
     return {"collision.action": "warn", "collision.stoptime": "0"}, (
-        f"What {file_name} says of collisions is not kept{why} (collision.action={action}, "
-        f"collision.stoptime={stop}): vehicles that collide drive on, so what comes after a collision of your own "
+        f"What {file_name} sets for collisions is not kept{why} (collision.action={action}, "
+        f"collision.stoptime={stop}): vehicles that collide drive on, so what follows a collision of your own "
         "traffic may differ.",
     )
 
@@ -195,7 +195,7 @@ def parse_options(given: Sequence[str]) -> dict[str, str]:
     for text in given:
         name, equals, value = text.partition("=")
         if not name.strip("- ") or not equals or not value.strip():
-            raise UsageError(f"--option takes NAME=VALUE, as in time-to-teleport=300, and not '{text}'.")
+            raise UsageError(f"--option takes NAME=VALUE, such as time-to-teleport=300, not '{text}'.")
         parsed[name.strip().lstrip("-")] = value.strip()
     return parsed
 

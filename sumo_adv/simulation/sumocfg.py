@@ -150,7 +150,7 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
             return
         name = SYNONYMS.get(tag, tag)
         if name in options or len(values) > 1:
-            raise UsageError(f"{path} names the option '{name}' twice, which SUMO refuses: take out one of the two.")
+            raise UsageError(f"{path} names the option '{name}' twice, which SUMO refuses: remove one of the two.")
         unknown = [key for key in attributes if key not in _KNOWN_ATTRIBUTES]
         if unknown:
             notes.append(f"SUMO passes over the attribute '{unknown[0]}' of the option '{tag}' in {path.name}.")
@@ -159,9 +159,7 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
             (each for each in _ENVIRONMENT_VARIABLE.findall(f"{values[0]} {value}") if _SECRET.search(each)), None
         )
         if secret is not None:  # values of options appear in messages and in a run's files
-            raise UsageError(
-                f"{path} names the variable {secret!r}, which may hold a secret: take it out or rename it."
-            )
+            raise UsageError(f"{path} names the variable {secret!r}, which may hold a secret: remove it or rename it.")
         if unset and name in _FILES:
             raise UsageError(f"{path} names its {name} by the variable {unset[0]}, which is not set: set it.")
         notes.extend(f"The variable {each} of {path.name} is not set, so it is empty, as in SUMO." for each in unset)
@@ -205,7 +203,7 @@ def _step(path: Path, step: float, *, named: bool) -> tuple[float | None, tuple[
     taken = part_of(step)
     said = f"{step:g} s" if named else "SUMO's default of 1 s"
     why = f"this program takes steps of {MIN_STEP_LENGTH_S:g} to {MAX_STEP_LENGTH_S:g} s"
-    but = "Drivers decide at other times then, so motions differ from those of SUMO alone."
+    but = "Drivers then decide at other times, so motions differ from those of SUMO alone."
     if taken is None:
         return None, (f"The step-length of {path.name}, {said}, is not kept: {why}, here of its own. {but}",)
     whole = round(step / taken)

@@ -209,7 +209,7 @@ def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
         for fields in reader:
             yield reader.line_num, fields
     except csv.Error as error:
-        raise _wrong(path, reader.line_num, f"is no CSV ({error})") from error
+        raise _wrong(path, reader.line_num, f"is not CSV ({error})") from error
 
 
 def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str, Row | None]:
@@ -239,7 +239,7 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise _wrong(path, line, f"has '{text}' for {column}, which is no finite number")
+        raise _wrong(path, line, f"has '{text}' for {column}, which is not a finite number")
     return value
 
 

@@ -73,7 +73,7 @@ def read_commonroad(path: Path) -> Record:
     except OSError as error:
         raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
     except (ElementTree.ParseError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UsageError(f"{path} is no CommonRoad scenario that can be read ({error}); check the file.") from error
+        raise UsageError(f"{path} is not a CommonRoad scenario that can be read ({error}); check the file.") from error
     check_record(record, str(path))
     return record
 

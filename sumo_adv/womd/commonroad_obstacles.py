@@ -264,7 +264,7 @@ def exact_number(state: Element, name: str, default: float | None = None) -> flo
         return default
     values = [float(v.text or "nan") for v in child(state, name)]
     if not values or not all(map(math.isfinite, values)):
-        raise ValueError(f"a {name} is no number")
+        raise ValueError(f"a {name} is not a number")
     return sum(values) / len(values)
 
 

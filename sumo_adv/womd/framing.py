@@ -68,7 +68,9 @@ def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[RecordFram
                 "again, or give a TFRecord file."
             )
         if length > MAX_RECORD_BYTES:
-            raise UsageError(f"Record {number} of {name} would be {length} bytes long: this is no file of scenarios.")
+            raise UsageError(
+                f"Record {number} of {name} would be {length} bytes long: this is not a file of scenarios."
+            )
         data = file.read(length + 4)
         if len(data) < length + 4:
             raise UsageError(f"Record {number} of {name} is cut short: the file ends inside it; fetch the file again.")

@@ -208,7 +208,7 @@ def _read(frame: RecordFrame, path: Path, chosen_id: str | None, parse: Callable
     try:
         message = parse(frame.data)
     except Exception as error:  # usually DecodeError, whose module differs between releases of protobuf
-        raise UsageError(f"{label} is no Scenario message of the Waymo Open Motion Dataset.") from error
+        raise UsageError(f"{label} is not a Scenario message of the Waymo Open Motion Dataset.") from error
     if chosen_id is not None and message.scenario_id != chosen_id:
         return None
     return replace(parse_record(message, label), content=hashlib.sha256(frame.data).hexdigest())
@@ -229,7 +229,7 @@ def parse_record(message: Any, where: str) -> Record:
     """
     name, time = message.scenario_id, np.array(message.timestamps_seconds, dtype=np.float64)
     if not name or not len(time):
-        raise UsageError(f"{where} is no scenario: it has no id or no time stamps (tf.Example files are not read).")
+        raise UsageError(f"{where} is not a scenario: it has no id or no time stamps (tf.Example files are not read).")
     if isinstance(name, bytes) or _SAFE_ID.fullmatch(name) is None:  # protobuf returns bytes if the id is not UTF-8
         raise UsageError(f"{where} has the id {name[:40]!r}, which cannot be the name of a folder.")
     label = f"{where} ('{name}')"

@@ -265,7 +265,7 @@ def _check_places(places: Floats, kind: str, where: str) -> None:
         return
     far = float(np.abs(places).max())
     if far > MAX_RECORD_COORDINATE_M:
-        raise UsageError(f"{where} has a {kind} {far:.3g} m from the origin: that is no place on a map in metres.")
+        raise UsageError(f"{where} has a {kind} {far:.3g} m from the origin: that is not a place on a map in metres.")
     extent = float(np.ptp(places, axis=0).max())
     if extent > MAX_RECORD_EXTENT_M:
         raise UsageError(f"{where} has a {kind} {extent / 1000:.4g} km from another place, which no record spans.")

@@ -77,7 +77,7 @@ def hold(attack: Attack, *, seed: int, count: int, first: int = 0) -> Tally:
 @contextmanager
 def _alarm() -> Iterator[None]:
     def ring(number: int, frame: FrameType | None) -> None:
-        raise Hung(f"not done after {PATIENCE} s")
+        raise Hung(f"did not finish within {PATIENCE} s")
 
     before = signal.signal(signal.SIGALRM, ring)
     signal.alarm(PATIENCE)

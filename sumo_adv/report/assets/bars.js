@@ -36,7 +36,7 @@ function drawBars(rows, choose) {
   const severities = counted(rows, (i) => columns.severity[i]);
   const sorted = (counts) => [...counts].sort((a, b) => b[1] - a[1]).slice(0, 12).map(([key, many]) => ({ key, name: key || "none", many }));
   byId("bars").replaceChildren(
-    histogram("Came to", CLASSES.map((c) => ({ key: c.key, name: `${c.sign} ${c.words}`, many: came.get(c.key) || 0 })), (key) => choose("outcome", key)),
+    histogram("Result", CLASSES.map((c) => ({ key: c.key, name: `${c.sign} ${c.words}`, many: came.get(c.key) || 0 })), (key) => choose("outcome", key)),
     histogram("min TTC, attacked / unattacked", bins, null), histogram("Intent", sorted(intents), (key) => choose("intent", key)),
     histogram("Severity", SEVERITIES.map((name) => ({ key: name, name, many: severities.get(name) || 0 })), (key) => choose("severity", key)),
     histogram("Ego", sorted(egos), (key) => choose("ego", key)));

@@ -5,7 +5,7 @@ const YES = (v) => (v === null ? "–" : v ? "yes" : "no");
 const HEADS = [
   { name: "network", words: "network", wide: "wide" }, { name: "ego", words: "ego", wide: "middle" }, { name: "seed", words: "seed", wide: "narrow" },
   { name: "intent", words: "intent", wide: "wide" }, { name: "raw_min_ttc", words: "unattacked", wide: "narrow", show: SECONDS },
-  { name: "min_ttc", words: "min TTC", wide: "narrow", show: SECONDS }, { name: "class", words: "came to", wide: "wide" },
+  { name: "min_ttc", words: "min TTC", wide: "narrow", show: SECONDS }, { name: "class", words: "result", wide: "wide" },
   { name: "severity", words: "severity", wide: "narrow" }, { name: "delta_v", words: "delta-v [m/s]", wide: "narrow", show: (v) => (v === null ? "–" : v.toFixed(1)) },
   { name: "humanlike", words: "human", wide: "narrow", show: YES }, { name: "robust", words: "robust", wide: "narrow", show: YES },
   { name: "fault", words: "fault", wide: "narrow" }, { name: "red_light", words: "red light", wide: "narrow" }, { name: "right_of_way", words: "right of way", wide: "narrow" },
@@ -36,7 +36,7 @@ function rowOf(i, place) {
     const text = quoted(textOf(head, i));
     return el(k ? "td" : "th", { scope: k ? null : "row", title: plain(textOf(head, i)) }, k === 0 && to ? el("a", { href: to }, text) : text);
   });
-  const made = el("tr", { "aria-rowindex": place + 2, title: to ? null : "no replay page yet: say the report command again" }, cells);
+  const made = el("tr", { "aria-rowindex": place + 2, title: to ? null : "no replay page yet: rerun the report command" }, cells);
   if (to) made.addEventListener("click", (e) => { if (!e.target.closest("a")) location.assign(to); });
   return made;
 }

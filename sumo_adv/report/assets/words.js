@@ -57,7 +57,7 @@ function verdictPanel(outcome) {
   ]);
   const failed = new Set(v.failed_gates), gates = data.gates.map((g) => ({ cells: [
     el("span", { class: failed.has(g) ? "bad" : "good" }, failed.has(g) ? "✗ fails" : "✓ holds"), GATE_WORDS[g] || answer(g)] }));
-  const impact = v.impact, times = [["trigger", outcome.trigger_time], ["contact", v.contact_time], ["least TTC", v.min_ttc_time]];
+  const impact = v.impact, times = [["trigger", outcome.trigger_time], ["contact", v.contact_time], ["minimum TTC at", v.min_ttc_time]];
   return panel("Verdict", numbers, el("h3", null, "Gates of feasibility"), table([], gates), list([
     ["valid", answer(v.valid)], ["strict", answer(v.strict)], ["level", answer(v.level)],
     ["human", answer(v.humanlike)],
@@ -76,7 +76,7 @@ function causeRows(c) {
   const time = (t) => (data.scene ? at(t) : `${t.toFixed(2)}\u202fs`), rate = (a) => number(a, 1, "m/s²");
   return [["cause", answer(c.kind)], row(`alarm of ${c.reference}`, c.alarm, time), row(`${c.reference} acts`, c.careful, time),
     row(c.action ? `the ego ${answer(c.action)} from` : "the ego reacted", c.began, time), row("mean braking", c.braking, rate), row("hardest braking", c.hardest, rate),
-    row("stopped braking", c.let_go, time), row("beside its way", c.shift, (d) => number(d, 1, "m")), row("would have been enough", c.enough, rate)];
+    row("stopped braking", c.let_go, time), row("lateral shift", c.shift, (d) => number(d, 1, "m")), row("sufficient braking", c.enough, rate)];
 }
 
 function attemptsPanel(outcome) {
@@ -86,7 +86,7 @@ function attemptsPanel(outcome) {
     a.collided ? (a.valid ? "valid collision" : "collision") : answer(a.ending),
     el("span", null, quoted(a.failed_gates.map(answer).join(", ") || (a.feasible ? "" : "not feasible")), a.message ? [" ", quoted(a.message)] : null),
   ] }));
-  const made = panel(`Attempts (${rows.length})`, table(["", "intent", "planner", "by", "trigger", "min TTC", "distance", "came to", "remarks"], rows), parametersOf(outcome));
+  const made = panel(`Attempts (${rows.length})`, table(["", "intent", "planner", "by", "trigger", "min TTC", "distance", "result", "remarks"], rows), parametersOf(outcome));
   made.classList.add("wide", "attempts");
   return made;
 }
@@ -111,7 +111,7 @@ function analyzerPanel(outcome) {
   const [shown, rest] = [intents.slice(0, 3), intents.slice(3)];
   return panel("What the analyzer said", el("p", null, "Analyzer: ", quoted(agents.analyzer ?? "–"), ". ", quoted(agents.note ?? "")),
     ranking.length ? el("p", null, "Encounter: ", ranking.map((r, k) => [k ? ", " : "", quoted(r.id), ` (${answer(r.relation)}, risk ${r.risk})`])) : null,
-    Object.keys(agents.analysis || {}).length ? el("details", null, el("summary", null, "What its samples came to"),
+    Object.keys(agents.analysis || {}).length ? el("details", null, el("summary", null, "Results of its samples"),
       el("pre", { tabindex: "0" }, plain(JSON.stringify(agents.analysis, null, 1)))) : null,
     shown, rest.length ? el("details", null, el("summary", null, `${rest.length} more`), rest) : null);
 }
@@ -126,7 +126,7 @@ function plannersPanel() {
     const diff = p.diff ? el("details", { open: p.counts }, el("summary", null, p.diff.length ? "What the modifier changed" : "The modifier changed nothing"), el("pre", { tabindex: "0" },
       p.diff.map((text) => el("span", { class: { "+": "added", "-": "removed", "@": "hunk" }[text[0]] || null }, text)))) : null;
     return el("details", { open: p.counts }, head, el("p", { class: "soft" }, `Version ${p.hash.slice(0, 12)}`,
-      p.parent ? [", made of ", p.parent.slice(0, 12)] : null), diff, source);
+      p.parent ? [", made from ", p.parent.slice(0, 12)] : null), diff, source);
   }));
 }
 
@@ -134,7 +134,7 @@ function restPanel(outcome) {
   const figures = Object.entries(outcome.realism || {}).filter(([, v]) => typeof v === "number" || v === null);
   const versions = data.about.versions ? Object.entries(data.about.versions).map(([k, v]) => `${k} ${v}`).join(", ") : null;
   return panel("All the figures", figures.length ? el("details", null, el("summary", null, "Realism of the adversary's motion"),
-    table(["", ""], figures.map(([k, v]) => ({ cells: [answer(k), v === null ? "too little to say" : String(v)] })))) : null,
+    table(["", ""], figures.map(([k, v]) => ({ cells: [answer(k), v === null ? "too few data" : String(v)] })))) : null,
   el("details", null, el("summary", null, "outcome.json"), el("pre", { tabindex: "0" }, plain(JSON.stringify(outcome, null, 1)))),
   el("details", null, el("summary", null, "Settings"), el("pre", { tabindex: "0" }, plain(JSON.stringify(data.about.settings, null, 1) ?? "unknown"))),
   versions ? el("p", { class: "soft" }, quoted(versions)) : null);

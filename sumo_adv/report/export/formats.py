@@ -169,7 +169,7 @@ def write_export(target: Path, piece: ExportedRun, format: Format, variant: Vari
             folder.keep(force=force)
         return lost
     if target.is_dir() or (target.exists() and not force):
-        raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
+        raise UsageError(f"{target} already exists; give another --out, or --force to replace the file.")
     with sentences(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         said: list[str | None] = []
