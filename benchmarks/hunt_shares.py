@@ -59,9 +59,9 @@ def main() -> int:
     attacking = sum(shares.get(part, 0.0) for part in ATTACKING)
     in_time, enough = took <= 60.0 * given.minutes * LATEST, attacking >= LEAST_SHARE
     if given.json:
-        print(json.dumps({"seconds": took, "encounters": hunt.encounters, "attempts": hunt.attempts, "shares": shares}))
+        print(json.dumps({"seconds": took, "episodes": hunt.episodes, "attempts": hunt.attempts, "shares": shares}))
     else:
-        print(f"{took:.1f} s, {hunt.encounters} encounters, {hunt.attempts} attempts, {len(hunt.failures)} failures")
+        print(f"{took:.1f} s, {hunt.episodes} episodes, {hunt.attempts} attempts, {len(hunt.failures)} failures")
         for part, share in shares.items():
             print(f"{part:12} {share:.3f}")
         print(f"attempts, robustness and references: {attacking:.2f} (bound {LEAST_SHARE:g})")

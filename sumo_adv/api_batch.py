@@ -301,7 +301,7 @@ class HuntResult:
     index: Path | None
 
     def __repr__(self) -> str:
-        some = f"{len(self.rows)} distinct failures in {self.found.encounters} encounters"
+        some = f"{len(self.rows)} distinct failures in {self.found.episodes} episodes"
         return f"<sumo_adv.HuntResult of {some}: {self.folder}>"
 
     @property

@@ -207,8 +207,8 @@ def test_a_hunt_ends_with_enough_distinct_failures_and_ranks_them(tmp_path: Path
     """The first round of one worker has an episode, of ``dull``. Later ones have one of each of the two inputs."""
     campaign = Campaigns()
     found = hunted(tmp_path, campaign)
-    assert (found.ended, len(found.failures), found.encounters, found.attempts) == ("distinct", 4, 8, 16)
-    assert (found.encounters, [seeds for _, seeds in campaign.rounds]) == (8, [(0,), (1,), (2,), (3,), (4,)])
+    assert (found.ended, len(found.failures), found.episodes, found.attempts) == ("distinct", 4, 8, 16)
+    assert (found.episodes, [seeds for _, seeds in campaign.rounds]) == (8, [(0,), (1,), (2,), (3,), (4,)])
     with (tmp_path / "out" / "results.csv").open(newline="") as text:
         shown = list(csv.DictReader(text))
     assert [r["rank"] for r in shown] == ["1", "2", "3", "4"]
@@ -255,7 +255,7 @@ def test_ctrl_c_in_the_last_episode_of_a_round_ends_the_hunt_too(tmp_path: Path)
         return replace(campaign(plan, orders, finished), interrupted=True)
 
     found = hunted(tmp_path, pressed)
-    assert (found.ended, found.encounters, len(campaign.rounds)) == ("stopped", 1, 1)
+    assert (found.ended, found.episodes, len(campaign.rounds)) == ("stopped", 1, 1)
 
 
 def test_a_round_that_would_take_longer_than_the_time_that_is_left_is_smaller(tmp_path: Path) -> None:

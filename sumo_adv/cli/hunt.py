@@ -118,7 +118,7 @@ def hunt(
 
     quiet = output.as_json
     if not quiet:
-        typer.echo(f"Hunting for {attack.minutes:g} min; a line follows as encounters end.")
+        typer.echo(f"Hunting for {attack.minutes:g} min; a line follows as episodes end.")
     lines = _Lines(attack.minutes, quiet=quiet)
     found = hunted(
         given, ego=ego, minutes=attack.minutes, distinct=attack.distinct, out=output.out or Path("runs") / "hunt",
@@ -138,7 +138,7 @@ def hunt(
 def _document(found: Found, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "folder": str(found.folder), "ended": found.ended, "seconds": round(found.seconds, 1),
-        "encounters": found.encounters, "attempts": found.attempts, "lost": list(found.lost), "failures": rows,
+        "episodes": found.episodes, "attempts": found.attempts, "lost": list(found.lost), "failures": rows,
         "driver_time": {**found.driver_time.as_data(), "of": round(found.episode_seconds, 1)},
         "spent": {part: round(seconds, 1) for part, seconds in found.spent.items()},
         "left": found.left.as_data(), "scenarios": [row.cells() for row in found.scenarios],
@@ -178,7 +178,7 @@ def _tell(progress: HuntProgress) -> None:
     newest = f" Newest: {progress.newest.words}." if progress.newest is not None else ""
     lost = f", {progress.lost} lost" if progress.lost else ""
     typer.echo(
-        f"{progress.seconds_left / 60:5.1f} min left: {progress.encounters} encounters, {progress.attempts} attempts "
+        f"{progress.seconds_left / 60:5.1f} min left: {progress.episodes} episodes, {progress.attempts} attempts "
         f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (this level or worse): {levels}; "
         f"{progress.left.words}.{newest}"
     )
@@ -214,7 +214,7 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     more = f" The table shows the first {MAX_FAILURES_SHOWN}." if len(failures) > MAX_FAILURES_SHOWN else ""
     near = f" and {len(touches)} near-touch{'es' * (len(touches) > 1)}" if touches else ""
     typer.echo(
-        f"{ends[found.ended]}: {len(failures)} distinct failures{near} in {found.encounters} encounters, "
+        f"{ends[found.ended]}: {len(failures)} distinct failures{near} in {found.episodes} episodes, "
         f"{found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
     )
     typer.echo(f"Estimate of what is left: {found.left.words}.")

@@ -74,7 +74,7 @@ class HuntProgress:
 
     Attributes:
         seconds_left: The time that is left [s].
-        encounters: The number of encounters.
+        episodes: The number of finished episodes.
         attempts: The number of attempts in them.
         attempts_per_second: Attempts per second of the hunt.
         found: The distinct failures, most serious first.
@@ -86,7 +86,7 @@ class HuntProgress:
     """
 
     seconds_left: float
-    encounters: int
+    episodes: int
     attempts: int
     attempts_per_second: float
     found: Sequence[Failure]
@@ -108,7 +108,7 @@ class Found:
     Attributes:
         folder: The folder of the hunt.
         failures: The distinct failures, most serious first.
-        encounters: The number of encounters.
+        episodes: The number of finished episodes.
         attempts: The number of attempts in them.
         seconds: The time of the hunt, over all its calls [s].
         ended: ``time``, ``distinct`` or ``stopped`` (Ctrl-C).
@@ -122,7 +122,7 @@ class Found:
 
     folder: Path
     failures: Sequence[Failure]
-    encounters: int
+    episodes: int
     attempts: int
     seconds: float
     ended: str
@@ -196,7 +196,7 @@ class Hunt:
         found = self._collected()
         progress, lost = self._progress(found, None), [why for each in self._lost for why in each]
         return Found(
-            self.folder, found, progress.encounters, progress.attempts, self._seconds(), ended, self.left(), lost,
+            self.folder, found, progress.episodes, progress.attempts, self._seconds(), ended, self.left(), lost,
             self.scenarios(), progress.driver_time, progress.episode_seconds, self._spent(),
         )  # fmt: skip
 
@@ -205,7 +205,7 @@ class Hunt:
         return distinct(f for k, rows in enumerate(self._rows) for f in self._failures(k, rows))
 
     def left(self) -> Discovery:
-        """Estimate from the encounters so far what is left to find."""
+        """Estimate from the episodes so far what is left to find."""
         rows = [(k, row) for k, each in enumerate(self._rows) for row in each if not is_failed(row)]
         return discovery([cells_of(self._failures(k, [row])) for k, row in rows])
 

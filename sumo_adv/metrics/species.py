@@ -1,4 +1,4 @@
-"""Estimate when a hunt may stop: distinct failures are species, encounters are samples.
+"""Estimate when a hunt may stop: distinct failures are species, episodes are samples.
 
 ========================= ============================================================================================
 figure                    source
@@ -61,8 +61,8 @@ class Discovery:
     def words(self) -> str:
         """The chance and the bound in words."""
         if not self.samples:
-            return "no encounter yet"
-        chance = f"the next encounter brings a new kind with a probability of {100 * self.chance:.0f} %"
+            return "no episode yet"
+        chance = f"the next episode brings a new kind with a probability of {100 * self.chance:.0f} %"
         if not self.kinds:
             return chance
         return f"{chance}; at least {self.least:.0f} kinds ({self.low:.0f} to {self.high:.0f})"
