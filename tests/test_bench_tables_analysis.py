@@ -155,7 +155,7 @@ def test_labels_that_min_ttc_alone_made_are_counted() -> None:
     misses = cell("a", "oracle", attempt(CUT, min_ttc=2.0), attempt(SHIFT, min_ttc=5.0))
     analysis = analyze([answered("a", "expert", CUT), misses], cases({}), title="Made")
     assert part(analysis).by_time == 1 and score(analysis, "expert").accuracy.value == 1
-    assert "In 1 no simulation succeeds" in to_markdown(analysis)
+    assert "In 1, no simulation succeeds" in to_markdown(analysis)
 
 
 def test_a_miss_of_a_tie_is_spread_over_it() -> None:

@@ -207,7 +207,7 @@ def test_what_is_not_as_in_sumo_is_said_with_the_vehicle_and_the_status(
 
 def test_a_network_and_a_scenario_say_what_was_read(program: Program) -> None:
     done = program.here("doctor", "motorway")
-    assert (done.status, done.out) == (0, "Read of motorway: 1 edges, 3 lanes for cars.\n")
+    assert (done.status, done.out) == (0, "Read from motorway: 1 edges, 3 lanes for cars.\n")
     done = program.here("doctor", str(ROOT / "scenarios" / "motorway_cut_in_left.toml"), "--seconds", "5")
     assert "As SUMO runs it: " in done.out and done.status == 0
     assert program.here("doctor", "motorway", "--ego", "idm").status == 2
