@@ -119,7 +119,7 @@ def hunt(
     quiet = output.as_json
     if not quiet:
         typer.echo(f"Hunting for {attack.minutes:g} min; a line follows as episodes end.")
-    lines = _Lines(attack.minutes, quiet=quiet)
+    lines = _Lines(quiet=quiet)
     found = hunted(
         given, ego=ego, minutes=attack.minutes, distinct=attack.distinct, out=output.out or Path("runs") / "hunt",
         **asdict(search), **asdict(running), settings_file=settings_file, pages=not output.no_pages,
@@ -154,16 +154,14 @@ def _stopping(now: bool) -> None:
 class _Lines:
     """Prints the progress of a hunt. The first line comes after ``FIRST_LINE_S`` even if no encounter has ended."""
 
-    def __init__(self, minutes: float, *, quiet: bool) -> None:
-        self._minutes = minutes
+    def __init__(self, *, quiet: bool) -> None:
         self._timer = threading.Timer(FIRST_LINE_S, self._nothing_yet)
         self._timer.daemon = True
         if not quiet:
             self._timer.start()
 
     def _nothing_yet(self) -> None:
-        left = self._minutes - FIRST_LINE_S / 60
-        typer.echo(f"{left:5.1f} min left: the first encounters are being attacked.")
+        typer.echo(f"After {FIRST_LINE_S:g} s the first episodes are still running.")
 
     def tell(self, progress: HuntProgress) -> None:
         self.end()
