@@ -60,14 +60,14 @@ def test_without_a_kind_there_is_no_bound() -> None:
     assert (none.chance, none.least, none.high) == (0.0, 0.0, math.inf)
     assert none.as_data()["high"] is None and discovery([]).as_data()["chance"] is None
     assert discovery([]).words == "no episode yet"
-    assert none.words == "the next episode brings a new one with 0 %"
+    assert none.words == "the next episode brings a new kind with a probability of 0 %"
 
 
 def test_a_hunt_says_what_is_left(program: Program) -> None:
     """On the live line, at the end, in JSON and in the figure; and the benchmark reads the folder."""
     options = ("--ego", "idm", "--until", "valid", "--distinct", "1", "--minutes", "2", "--workers", "1", "--no-pages")
     done = program.here("hunt", "signals_red_light", *options, "--out", "hunt")
-    assert done.status == 0 and "What is left: the next episode brings a new one with " in done.out, done.err
+    assert done.status == 0 and "What is left: the next episode brings a new kind with a probability of " in done.out, done.err
     assert (program.folder / "hunt" / "scenarios.csv").read_text().startswith("list,scenario,encounters,attempts,")
     samples = kinds_by_encounter(Path(program.folder / "hunt"))
     after = over_time(Path(program.folder / "hunt"))[-1].discovery
