@@ -136,7 +136,7 @@ def test_two_benches_do_not_write_into_one_folder_at_once(whole: tuple[Program, 
     ("given", "sentence"),
     [
         (("--row", "nobody"), "There is no row 'nobody'"),
-        (("--row", "expert+tunr=off"), "The row 'expert+tunr=off' changes 'tunr', which is no setting"),
+        (("--row", "expert+tunr=off"), "The row 'expert+tunr=off' changes 'tunr', which is not a setting"),
         (("--row", "expert+seed=3"), "which is the same for all rows of a table"),
         (("--row", "expert+replan=soon"), "Setting 'replan' cannot be 'soon'"),
         (("--row", "llm-a"), "The row llm-a needs a model"),

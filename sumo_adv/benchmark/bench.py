@@ -161,7 +161,7 @@ def read_cells(folder: Path) -> list[Cell]:
         except (OSError, ValueError) as error:
             raise UsageError(f"{file} cannot be read ({error}); delete it to rerun the cell.") from error
         if not isinstance(cell, dict) or not cell.keys() >= CELL_KEYS:
-            raise UsageError(f"{file} is not a cell of a bench; delete it to rerun it.")
+            raise UsageError(f"{file} is not a cell of a bench; delete it to rerun the cell.")
         cells.append(cell)
     return cells
 
