@@ -67,8 +67,9 @@ TAKES = {
 }
 BOUNDS = {
     "speed": (0.0, 60.0), "rate": (0.2, 8.0), "seconds": (0.1, 30.0), "offset": (-3.0, 3.0), "value": (0.0, 300.0),
+    "ahead": (-100.0, 300.0),
 }  # fmt: skip
-"""The least and the largest value of each number [m, s, m/s, m/s2]."""
+"""The least and the largest value of each number [m, s, m/s, m/s2]; ahead is the value of ``ahead_of_ego``."""
 
 
 class _Table(BaseModel):
@@ -95,11 +96,11 @@ Number = Tunable | float
 
 class Condition(_Table):
     """When an action begins. time: seconds since the attack began. distance_to_ego: m between the two boxes.
-    time_to_meet: seconds until the two meet (until the ego is where their ways meet; on one way, the gap by the speed
-    at which it closes). after: the last action has ended. rule: whether distance_to_ego or time_to_meet must be below
-    or above the value."""
+    ahead_of_ego: m from the ego's front to its rear; negative while that is behind the front. time_to_meet: seconds
+    until the two meet (until the ego is where their ways meet; on one way, the gap by the speed at which it closes).
+    after: the last action has ended. rule: whether the number must be below or above the value (time: always above)."""
 
-    kind: Literal["after", "time", "distance_to_ego", "time_to_meet"]
+    kind: Literal["after", "time", "distance_to_ego", "ahead_of_ego", "time_to_meet"]
     value: Number | None = None
     rule: Literal["below", "above"] = "below"
 
@@ -108,8 +109,13 @@ class Condition(_Table):
         if (self.value is None) != (self.kind == "after"):
             raise ValueError(f"the condition {self.kind} {'takes no' if self.kind == 'after' else 'needs a'} value")
         if self.value is not None:
-            _check_bounds(f"the condition {self.kind}", "value", tunable("value", self.value))
+            _check_bounds(f"the condition {self.kind}", self.key, tunable(self.key, self.value))
         return self
+
+    @property
+    def key(self) -> str:
+        """The name of the bounds of its value."""
+        return "ahead" if self.kind == "ahead_of_ego" else "value"
 
 
 class Action(_Table):
@@ -206,7 +212,7 @@ def numbers_of(action: Action) -> dict[str, Tunable]:
     takes = TAKES[action.verb]
     numbers = {key: action.number(key) for key in (*takes.needed, *takes.defaults) if key != "side"}
     if action.when is not None and action.when.value is not None:
-        numbers["value"] = tunable("value", action.when.value)
+        numbers["value"] = tunable(action.when.key, action.when.value)
     return numbers
 
 
@@ -240,9 +246,11 @@ def _condition_in_words(when: Condition | None) -> Iterator[str]:
     """Yield a condition in words; nothing if the last action must have ended."""
     if when is None or when.value is None:
         return
-    value, below = tunable("value", when.value).default, when.rule == "below"
+    value, below = tunable(when.key, when.value).default, when.rule == "below"
     if when.kind == "time":
         yield f"{value:g} s after the beginning"
+    elif when.kind == "ahead_of_ego":
+        yield f"when it is {'less' if below else 'more'} than {value:g} m ahead of the ego"
     elif when.kind == "distance_to_ego":
         yield f"when the ego is {'nearer' if below else 'farther'} than {value:g} m"
     else:

@@ -1,7 +1,8 @@
 """Compile a script to a planner: its numbers become the table of parameters, its actions the table ``SCRIPT``.
 
 The text below steps through ``SCRIPT``. It is shipped, so scripts answer without the sandbox (``sessions.py:TRUSTED``).
-What it remembers from call to call are two notes: the number of the last action that began, and when it began.
+What it remembers from call to call are notes: the number of the last action that began, when it began, and since when
+the vehicle has stood.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from sumo_adv.script import Action, Script, Verb, numbers_of
 SCRIPT_MODE = "script"
 SCRIPT_ORIGIN = "script"
 UNITS = {"speed": "m/s", "rate": "m/s2", "seconds": "s", "offset": "m"}
-CONDITION_UNITS = {"time": "s", "distance_to_ego": "m", "time_to_meet": "s"}
+CONDITION_UNITS = {"time": "s", "distance_to_ego": "m", "ahead_of_ego": "m", "time_to_meet": "s"}
 
 _STEPS_TEXT = '''\
 import math
@@ -22,11 +23,14 @@ import math
 def endpoint(bv, ego, road, parameters, acc, horizon):
     index = find_way(road)
     way = road["ways"][index]
-    done, since = -1, 0.0
+    done, since, stands = -1, 0.0, bv["time"]
     if bv["last"] is not None and "note_action" in bv["last"]:
-        done, since = int(bv["last"]["note_action"]), bv["last"]["note_since"]
-    while done + 1 < len(SCRIPT) and begins(SCRIPT[done + 1], done, since, bv, ego, road, index, parameters):
-        done, since = done + 1, bv["time"]
+        done, since, stands = int(bv["last"]["note_action"]), bv["last"]["note_since"], bv["last"]["note_stands"]
+    if bv["speed"] > 0.3:
+        stands = bv["time"]
+    stood = bv["time"] - max(since, stands)
+    while done + 1 < len(SCRIPT) and begins(SCRIPT[done + 1], done, since, stood, bv, ego, road, index, parameters):
+        done, since, stood = done + 1, bv["time"], 0.0
     aside, drift = sideways(done, road, parameters)
     time = 1.5
     if abs(aside - bv["offset"]) > 0.3 and bv["lateral_time"] < 0.1 or begun_sideways(done, since, bv):
@@ -37,14 +41,15 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
         end = beside_ego(ego, bv["ahead"] + distance, bv["left"] + aside - bv["offset"], speed, time)
     end["note_action"] = float(done)
     end["note_since"] = since
+    end["note_stands"] = stands
     return end
 
 
-def begins(row, done, since, bv, ego, road, index, parameters):
+def begins(row, done, since, stood, bv, ego, road, index, parameters):
     """Whether the condition of the next action holds."""
     kind = row[3]
     if kind == "after":
-        return done < 0 or ended(done, since, bv, road, parameters)
+        return done < 0 or ended(done, since, stood, bv, road, parameters)
     value = number(row[4], parameters)
     if kind == "time":
         return bv["time"] > value - 0.01
@@ -52,18 +57,24 @@ def begins(row, done, since, bv, ego, road, index, parameters):
         return apart(bv, ego) < value
     if kind == "farther":
         return apart(bv, ego) > value
+    if kind == "ahead":
+        return bv["ahead"] - (bv["length"] + ego["length"]) / 2 > value
+    if kind == "behind":
+        return bv["ahead"] - (bv["length"] + ego["length"]) / 2 < value
     if kind == "sooner":
         return meets_in(bv, ego, road, index) < value
     return meets_in(bv, ego, road, index) > value
 
 
-def ended(done, since, bv, road, parameters):
+def ended(done, since, stood, bv, road, parameters):
     """Whether the last action that began has ended."""
     row = SCRIPT[done]
     if row[0] == "speed":
         return abs(bv["speed"] - min(number(row[1], parameters), road["fastest"])) < 0.5
     if row[0] == "brake":
         return bv["speed"] < number(row[1], parameters) + 0.3
+    if row[0] == "stop":
+        return stood > number(row[1], parameters) - 0.01
     if row[0] == "wait":
         return bv["time"] > since + number(row[1], parameters) - 0.01
     if row[0] == "turn":
@@ -109,6 +120,8 @@ def advanced(done, speed, time, road, parameters):
             wanted, rate = min(number(row[1], parameters), road["fastest"]), number(row[2], parameters)
             if row[0] == "brake":
                 wanted = min(wanted, speed)
+        elif row[0] == "stop":
+            wanted, rate = 0.0, number(row[2], parameters)
     span = min(time, abs(wanted - speed) / max(rate, 0.1))
     then = speed + rate * span if wanted > speed else max(speed - rate * span, 0.0)
     return (speed + then) / 2 * span + then * (time - span), then
@@ -206,7 +219,7 @@ def script_planner(script: Script) -> Planner:
                 values = f"{number.default!r}, {number.low!r}, {number.high!r}, {_unit(action, key)!r}"
                 table.append(f'    "{name}": ({values.replace(chr(39), chr(34))}, "{key} of action {k + 1}"),\n')
                 named[key] = f'"{name}"'
-        rows += [f"    ({', '.join(row)}),\n" for row in _rows(action, named)]
+        rows.append(f"    ({', '.join(_row(action, named))}),\n")
     text = (
         f'# {script.label}, mode "{SCRIPT_MODE}"\nPARAMETERS = {{\n{"".join(table)}}}\n\n'
         f"SCRIPT = [\n{''.join(rows)}]\n\n{_STEPS_TEXT}"
@@ -214,30 +227,31 @@ def script_planner(script: Script) -> Planner:
     return make_planner(script.label, SCRIPT_MODE, text, SCRIPT_ORIGIN)
 
 
-def _rows(action: Action, named: dict[str, str]) -> list[tuple[str, str, str, str, str]]:
-    """Return the rows of an action: verb, two numbers, the kind of its condition, and the value of that."""
+def _row(action: Action, named: dict[str, str]) -> tuple[str, ...]:
+    """Return the row of an action: verb, two numbers, the kind of its condition, and the value of that."""
     when = '"after"', "0.0"
     if action.when is not None and action.when.kind != "after":
         below = action.when.rule == "below"
         kind = {
             "time": "time", "distance_to_ego": "nearer" if below else "farther",
+            "ahead_of_ego": "behind" if below else "ahead",
             "time_to_meet": "sooner" if below else "later",
         }[action.when.kind]  # fmt: skip
         when = f'"{kind}"', named["value"]
     side = "1.0" if action.side == "left" else "-1.0"
     match action.verb:
         case Verb.STOP_FOR:
-            return [('"brake"', "0.0", named["rate"], *when), ('"wait"', named["seconds"], "0.0", '"after"', "0.0")]
+            return '"stop"', named["seconds"], named["rate"], *when
         case Verb.LANE_CHANGE:
-            return [('"lane"', side, named["seconds"], *when)]
+            return '"lane"', side, named["seconds"], *when
         case Verb.TURN:
-            return [('"turn"', side, "0.0", *when)]
+            return '"turn"', side, "0.0", *when
         case Verb.LATERAL_OFFSET:
-            return [('"offset"', named["offset"], named["seconds"], *when)]
+            return '"offset"', named["offset"], named["seconds"], *when
         case Verb.WAIT:
-            return [('"wait"', named["seconds"], "0.0", *when)]
+            return '"wait"', named["seconds"], "0.0", *when
         case Verb.SPEED | Verb.BRAKE:
-            return [(f'"{action.verb}"', named["speed"], named["rate"], *when)]
+            return f'"{action.verb}"', named["speed"], named["rate"], *when
 
 
 def _unit(action: Action, key: str) -> str:

@@ -58,7 +58,7 @@ TRUSTED = frozenset(
         "cd088138c5c7ecfc11d5993c76a64d84d5a3d01fbb99ac783529e977341b1993",  # beside, of supports
         "5be1f147619f6221ea4bf3b634a4a60e47832fcc3ef4426ada7f2f7d4324e324",  # pace, of supports
         "4283ecf2a54fa972c12c8dbeb66c821855f5eeb135b5aa656e83d1dbd6da3485",  # pass, of supports
-        "56ce5d49c5a01fdb75f56ca8a3b5d4bfcd19c9d17befbf1ce7c6ea8d3281ae36",  # script
+        "2081c29588729aee53054e6a5b5cb9958ef0646be665f7c3b30a24d6ca0b4999",  # script
     }
 )
 """Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py``, ``search/intents.py`` and
@@ -68,7 +68,7 @@ ENDPOINT_VALUES = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
 _WORD_OR_NUMBER = r'(?:"[a-z0-9_]+"|-?[0-9]+\.[0-9]+)'
 _ROW = rf"    \({_WORD_OR_NUMBER}(?:, {_WORD_OR_NUMBER}){{4}}\),\n"
-SCRIPT = re.compile(rf"^SCRIPT = \[\n(?:{_ROW}){{1,16}}\]$", re.MULTILINE)
+SCRIPT = re.compile(rf"^SCRIPT = \[\n(?:{_ROW}){{1,8}}\]$", re.MULTILINE)
 
 
 def body(text: str) -> str:

@@ -96,7 +96,7 @@ def _begins(action: Action, begin: float, end: float) -> float:
     if action.when is None or action.when.value is None:
         return end
     if action.when.kind == "time":
-        return max(begin, tunable("value", action.when.value).default)
+        return max(begin, tunable(action.when.key, action.when.value).default)
     return begin
 
 
