@@ -291,7 +291,7 @@ def _scenario(
         f"intents = {toml_value(attack.labels)}\n" if attack.labels else "",
         f"\n[signals]\nfiles = [{toml_text(f'{stem}.add.xml')}]\n" if lights else "",
         *tables,
-        *([] if attack.script is None else script_tables(attack.script)),
+        "" if attack.script is None else script_tables(attack.script),
         _table("written", {"words": written.words, "model": written.model, "date": written.date}),
         _table("asked", attack.asked.model_dump(mode="json", exclude_defaults=True)),
     ]  # fmt: skip

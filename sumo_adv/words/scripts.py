@@ -70,7 +70,8 @@ def check_script(
             case Verb.LANE_CHANGE:
                 lanes += LANE_SIDES[str(action.side)]
                 if not -right <= lanes <= left:
-                    raise UsageError(f"{this} has no lane to its {action.side}: {who} has {_beside(left, right)}.")
+                    there = f"{left} on its left and {right} on its right"
+                    raise UsageError(f"{this} has no lane to its {action.side}: {who} has {there}.")
             case Verb.TURN:
                 seconds = 0.0
         if now == 0.0 and action.verb in (Verb.LANE_CHANGE, Verb.LATERAL_OFFSET, Verb.TURN):
@@ -79,7 +80,7 @@ def check_script(
     _check_turn(script, who, drive, net)
 
 
-def script_tables(script: Script) -> list[str]:
+def script_tables(script: Script) -> str:
     """Return a script as tables of a scenario file.
 
     Args:
@@ -88,7 +89,7 @@ def script_tables(script: Script) -> list[str]:
     lines = ["", "[[scripts]]", *toml_lines({"applies": list(script.applies)})]
     for action in script.actions:
         lines += ["", "[[scripts.actions]]", *toml_lines(action.model_dump(mode="json", exclude_defaults=True))]
-    return ["\n".join([*lines, ""])]
+    return "\n".join([*lines, ""])
 
 
 def _begins(action: Action, begin: float, end: float) -> float:
@@ -98,11 +99,6 @@ def _begins(action: Action, begin: float, end: float) -> float:
     if action.when.kind == "time":
         return max(begin, tunable(action.when.key, action.when.value).default)
     return begin
-
-
-def _beside(left: int, right: int) -> str:
-    """Return the numbers of lanes beside a vehicle in words."""
-    return f"{left} on its left and {right} on its right"
 
 
 def _check_turn(script: Script, who: str, drive: VehicleRoute, net: Net) -> None:
