@@ -27,6 +27,7 @@ LEVELS = (
         "parsing",
         "road_users",
         "scenario_names",
+        "script",
         "situation",
         "times",
     ),

@@ -19,15 +19,18 @@ from sumo_adv.errors import PlannerRuntimeError, SandboxError
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Answer, PlannerObservation, planner_road
 from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.scripts import script_planner
 from sumo_adv.planners.session import Call
 from sumo_adv.planners.sessions import TRUSTED, InProcessSession, Roads, Sessions, ask_trusted, fingerprint, is_trusted
 from sumo_adv.planners.text import make_planner
+from sumo_adv.script import Script
 from sumo_adv.search.intents import FREE
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
 SHIPPED = [*shipped_planners().values(), *(p for entry in unprotected_library() for p in entry.planners)]
 SIDE = shipped_planners()["Straight Lane Shift", "side"].text
 BESIDE = situation([neighbour()])
+BRAKES = script_planner(Script.model_validate({"applies": ["leader"], "actions": [{"verb": "brake", "rate": 4}]}))
 
 
 def planner(source: str) -> Planner:
@@ -41,7 +44,7 @@ def test_every_planner_of_the_shipped_bank_is_trusted(p: Planner) -> None:
 
 def test_no_text_is_trusted_that_the_bank_does_not_have() -> None:
     supports = [p for those in SUPPORT_INTENTS.values() for entry in those for p in entry.planners]
-    assert {fingerprint(p.text) for p in (*SHIPPED, *supports, *FREE.planners)} == TRUSTED
+    assert {fingerprint(p.text) for p in (*SHIPPED, *supports, *FREE.planners, BRAKES)} == TRUSTED
 
 
 def test_a_text_with_other_numbers_and_another_movement_is_trusted() -> None:

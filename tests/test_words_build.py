@@ -232,3 +232,54 @@ def test_the_users_network_is_named_by_its_path(tmp_path: Path) -> None:
                   other(("westbound", "westbound"), speed=72, arrives=0))  # fmt: skip
     made = load_input(build_scenario(draft, tmp_path / "my.toml", WRITTEN, network))
     assert made.network == network
+
+
+# ---- scripts
+
+
+ROAD = {"kind": "straight", "lanes": 2, "lanes_back": 0, "speed_limit": 80, "length": 600}
+EGO = {"route": ["forward", "forward"], "speed": 54}
+
+
+def scripted(*actions: dict[str, Any], **more: Any) -> SceneDraft:
+    """A leader that drives 10 m/s, 30 m ahead in the right lane of two, with a script."""
+    attack = {"adversary": "other", "script": {"applies": ["leader"], "actions": list(actions)}, "asked": {}}
+    return scene(ROAD, EGO, other(("forward", "forward"), gap=30, **more), attack=attack)
+
+
+def test_a_script_is_written_and_named_first(tmp_path: Path) -> None:
+    draft = scripted(
+        {"verb": "brake", "rate": 3, "speed": 5},
+        {"verb": "lane_change", "side": "left", "when": {"kind": "distance_to_ego", "value": 9}},
+        {"verb": "speed", "speed": {"default": 9, "low": 8, "high": 10}},
+    )
+    made = load_input(build_scenario(draft, tmp_path / "my.toml", WRITTEN))
+    assert made.intents == ("Script: brake, lane change left, speed",)
+    assert made.scripts == (draft.attack.script,)
+
+
+@pytest.mark.parametrize(
+    ("draft", "says"),
+    [
+        (scripted({"verb": "lane_change", "side": "right"}),
+         "Action 1 of the script (lane_change) has no lane to its right: 'other' has 1 on its left and 0 on its"),
+        (scripted({"verb": "lane_change", "side": "left"}, {"verb": "lane_change", "side": "left"}), "Action 2 of the"),
+        (scripted({"verb": "brake", "rate": 7.5}, type="truck"), "with 7.5 m/s2, and 'other' can with 7 at most"),
+        (scripted({"verb": "speed", "speed": 12, "rate": 3}), "with 3 m/s2, and 'other' can with 2.4 at most"),
+        (scripted({"verb": "speed", "speed": 16}), "goes for 16 m/s, and 'other', which drives 10.0 m/s"),
+        (scripted({"verb": "brake", "rate": 5}, {"verb": "lane_change", "side": "left"}), "begins when 'other' stands"),
+        (scripted({"verb": "wait", "seconds": 6}, {"verb": "wait", "seconds": 6}, {"verb": "brake", "rate": 5}),
+         "Action 3 of the script (brake) begins after 12 s at the earliest, and it must within 10 s."),
+        (scripted({"verb": "brake", "rate": 5, "when": {"kind": "time", "value": 11}}), "begins after 11 s at the"),
+        (scene({"kind": "t", "length": 300}, WEST_EAST, other(("south_in", "east_out"), arrives=0), attack={
+            "adversary": "other", "script": {"applies": ["merging"], "actions": [{"verb": "brake", "rate": 5}]},
+            "asked": {}}), "The script goes straight on where the route of 'other' goes right from edge 'south_in'"),
+        (scene(STRAIGHT, ALONG, walkers=[{"id": "walker", "at": 50, "offset": -5}], attack={
+            "adversary": "walker", "script": {"applies": ["pedestrian"], "actions": [{"verb": "wait", "seconds": 1}]},
+            "asked": {}}), "'walker' is no vehicle, and a script is for vehicles"),
+    ],
+)  # fmt: skip
+def test_a_script_that_cannot_be_played_is_one_sentence(tmp_path: Path, draft: SceneDraft, says: str) -> None:
+    with pytest.raises(UsageError) as raised:
+        build_scenario(draft, tmp_path / "my.toml", WRITTEN)
+    assert says in str(raised.value), raised.value

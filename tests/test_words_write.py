@@ -180,3 +180,30 @@ def test_a_novel_behaviour_that_is_known_goes_back_to_the_model(tmp_path: Path) 
         done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK)
     assert done.status == 0, done.err
     assert "'Aggressive cut-in' is an intent of the list" in server.asked[1].last
+
+
+def test_a_script_is_played_and_enters_the_bank_without_a_planner_of_the_model(tmp_path: Path) -> None:
+    """The first draft changes to a lane that is not there; the second brakes and changes to the ego's."""
+    soon = {"kind": "time", "value": {"default": 1, "low": 0, "high": 3}}
+    actions = [
+        {"verb": "brake", "rate": 4, "speed": {"default": 24, "low": 18, "high": 27}},
+        {"verb": "lane_change", "side": "right", "when": soon},
+    ]
+    draft, wrong = cut_in(), cut_in()
+    draft["scene"]["attack"] |= {"intents": [], "script": {"applies": ["neighbour"], "actions": actions}}
+    draft["scene"]["attack"]["asked"]["level"] = "near_miss"
+    left = [{"verb": "lane_change", "side": "left"}]
+    wrong["scene"]["attack"] |= {"intents": [], "script": {"applies": ["neighbour"], "actions": left}}
+    drafts = iter([wrong, draft])
+    with ModelServer(lambda request: READ if is_reader(request) else next(drafts)) as server:
+        done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK)
+    assert done.status == 0, done.err
+    assert "Action 1 of the script (lane_change) has no lane to its left" in server.asked[1].last
+    label = "Script: brake, lane change right"
+    outcome = json.loads((tmp_path / "run" / "outcome.json").read_text())
+    assert {attempt["intent"] for attempt in outcome["attempts"]} == {label} and outcome["asked"]["fits"]
+    assert tomllib.loads((tmp_path / "my.toml").read_text())["adversary"]["intents"] == [label]
+    with MemoryBank.open(tmp_path / "bank.sqlite", read_only=True) as bank:
+        record = bank.intent(label)
+        assert record is not None and record.applies == ("neighbour",)
+        assert [planner.origin for planner in bank.planners(label)] == ["script"]

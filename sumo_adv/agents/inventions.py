@@ -13,7 +13,9 @@ from sumo_adv.llm.prompts import Prompts
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.scripts import script_entry
 from sumo_adv.planners.trial import trial
+from sumo_adv.script import Script
 
 
 @dataclass
@@ -85,3 +87,15 @@ class Inventions:
         """
         record, planner = self.written[label]
         self.bank.add(record, [planner])
+
+    def keep_script(self, script: Script) -> None:
+        """Add a script to the bank.
+
+        Args:
+            script: The script.
+
+        Raises:
+            BankError: The bank cannot be written.
+        """
+        entry = script_entry(script)
+        self.bank.add(IntentRecord(entry.label, entry.description, entry.applies), entry.planners)

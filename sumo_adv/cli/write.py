@@ -160,9 +160,11 @@ def _write(
                     (lambda _: None) if quiet else (lambda line: typer.echo(line, err=True)),
                 )  # fmt: skip
                 made = author.write(request)
-                novel = made.scene.attack.novel
-                if novel is not None and made.reached and not made.misfits:
-                    inventions.keep(novel.label)
+                attack = made.scene.attack
+                if attack.novel is not None and made.reached and not made.misfits:
+                    inventions.keep(attack.novel.label)
+                if attack.script is not None and made.reached and not made.misfits:
+                    inventions.keep_script(attack.script)
         with sentences(out):
             out.parent.mkdir(parents=True, exist_ok=True)
             for old in _beside(out):

@@ -23,7 +23,7 @@ from sumo_adv.errors import PlannerResultError
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.answers import Answer, AskOne, local_endpoint
+from sumo_adv.planners.answers import Answer, AskOne, remembered
 from sumo_adv.planners.follower import Follower
 from sumo_adv.planners.trajectory import Motion, PathEndpoint, PathRow, Scalar, advance, one_of, pose, release, steer
 from sumo_adv.situation import Situation
@@ -137,7 +137,7 @@ class PlannedAdversary:
         answer = self._ask(observation)
         if isinstance(answer, str):
             return answer
-        self.last = local_endpoint(self.situation, answer.endpoint)
+        self.last = remembered(self.situation, answer)
         before = PathEndpoint(*(np.array([q]) for q in self.goal))
         self.goal = PathEndpoint(*(float(q[0]) for q in self.ground.aim(batch, [answer.endpoint], before)))
         self._built_in()

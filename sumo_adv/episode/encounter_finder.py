@@ -139,7 +139,8 @@ class EncounterFinder:
         Raises:
             UsageError: The settings name an intent that the bank does not know.
         """
-        selected(self._settings, bank, self._run_input.intents)  # refuses misspelt names before anything is simulated
+        # refuses misspelt names before anything is simulated
+        selected(self._settings, bank, self._run_input.intents, self._run_input.scripts)
         while (record := self.seek()) is not None:
             prepared = prepare(
                 record.found, self._run_input, self._settings, self._task, sandbox, bank, agents, stopped=self.stopped

@@ -15,6 +15,8 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.memory.bank import MemoryBank, retrieve_composition
 from sumo_adv.memory.recall import SCENE_SCALES, drawn_order, explain, signature_distance
 from sumo_adv.memory.records import Evidence, SceneSignature, canonical
+from sumo_adv.planners.scripts import script_entry
+from sumo_adv.script import Script
 from sumo_adv.search.intents import COMPOSED, FREE, Selection, applies_of, select
 from sumo_adv.search.supports import ANY_FITTING, Cast
 from sumo_adv.simulation.inputs import data_folder
@@ -24,18 +26,21 @@ CONFIRMED_INTENTS = 2  # number of nearest intents with which the analyzer compa
 
 
 def read_library(
-    bank: MemoryBank, now: SceneSignature, seed: int, situations: Mapping[float, Situation]
-) -> tuple[list[LibraryEntry], list[dict[str, object]]]:
+    bank: MemoryBank, now: SceneSignature, seed: int, situations: Mapping[float, Situation],
+    scripts: Sequence[Script] = (),
+) -> tuple[list[LibraryEntry], list[dict[str, object]]]:  # fmt: skip
     """Read the bank's active intents as a library.
 
     Thompson sampling orders an intent's planners by their evidence in scenes like ``now``. If a pedestrian or cyclist
-    could be the adversary, the shipped intents for them are added (``unprotected_library``).
+    could be the adversary, the shipped intents for them are added (``unprotected_library``). The scripts of the
+    scenario are added as intents, which their first success adds to the bank.
 
     Args:
         bank: The bank.
         now: The present scene.
         seed: The seed of Thompson sampling.
         situations: The situations by delay after the trigger [s].
+        scripts: The scripts of the scenario.
 
     Returns:
         The library, and how the planners of each intent were ordered, for the manifest.
@@ -54,6 +59,8 @@ def read_library(
     for shipped in unprotected_library():
         if near.intersection(shipped.applies) and held.get(shipped.label, "active") == "active":
             entries = _with(entries, shipped)
+    for script in scripts:
+        entries = _with(entries, script_entry(script))
     return entries, explained
 
 
@@ -68,16 +75,19 @@ def unprotected_library() -> tuple[LibraryEntry, ...]:
 
 
 def _with(entries: Sequence[LibraryEntry], shipped: LibraryEntry) -> list[LibraryEntry]:
-    """Add a shipped intent to a library; if the library has the intent, add only the planners that it lacks."""
+    """Add an intent to a library; if the library has it, add only the planners and relations that it lacks."""
     held = next((e for e in entries if e.label == shipped.label), None)
     if held is None:
         return [*entries, shipped]
     hashes = {p.hash for p in held.planners}
-    more = replace(held, planners=(*held.planners, *(p for p in shipped.planners if p.hash not in hashes)))
+    planners = (*held.planners, *(p for p in shipped.planners if p.hash not in hashes))
+    more = replace(held, planners=planners, applies=tuple(dict.fromkeys((*held.applies, *shipped.applies))))
     return [more if e is held else e for e in entries]
 
 
-def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ()) -> Selection:
+def selected(
+    settings: Settings, bank: MemoryBank, scenario: Sequence[str] = (), scripts: Sequence[Script] = ()
+) -> Selection:
     """Return the intents of a bank that settings and a scenario allow.
 
     A scenario may name intents that the bank lacks or has retired, if the program ships them.
@@ -86,12 +96,14 @@ def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ())
         settings: The run's settings.
         bank: The bank.
         scenario: The intents that the scenario names; empty allows all.
+        scripts: The scripts of the scenario, which are known intents.
 
     Raises:
         UsageError: The settings or the scenario name an unknown intent, or no intent is left.
     """
     labels = [record.label for record in bank.intents() if record.status == "active"]
     labels += [entry.label for entry in unprotected_library()]
+    labels += [script.label for script in scripts]
     if not settings.intents:
         allowed = {canonical(label) for label in (FREE.label, *COMPOSED, *labels)}
         unknown = [n for n in scenario if canonical(n) not in allowed and bank.intent(n) is None]

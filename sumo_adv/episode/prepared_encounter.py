@@ -107,10 +107,10 @@ def _prepared(
     share = settings.per_planner if agents is not None and agents.by_model("modifier") else settings.attempts
     evidence = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
     weights = SearchSettings(proposals=settings.proposals, share=share)
-    selection = selected(settings, bank, run_input.intents)
+    selection = selected(settings, bank, run_input.intents, run_input.scripts)
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, task.ego_driver)
-    library, bandit = read_library(bank, scene, settings.seed, found.situations)
+    library, bandit = read_library(bank, scene, settings.seed, found.situations, run_input.scripts)
     predicts = forecast or found.first.baseline.model.known or evidence
     log = task.playback
     if settings.tuner == "builtin" and (not predicts or (log is not None and log.tracks is not None)):

@@ -8,7 +8,7 @@ then its speed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -31,11 +31,13 @@ class Answer:
         trajectory: The planner's own trajectory, ``(n, 4)``: x, y [m], heading [rad] and speed [m/s] for each step from
             now on, without the present state. None means that the built-in f_traj is used.
         remark: Why the planner's own trajectory was refused, or empty.
+        notes: What the planner notes for its next call, by keys that begin with ``note_``.
     """
 
     endpoint: Endpoint
     trajectory: Floats | None = None
     remark: str = ""
+    notes: Mapping[str, float] = field(default_factory=dict)
 
 
 AskOne = Callable[[PlannerObservation], Answer | str]
@@ -59,6 +61,16 @@ def local_endpoint(situation: Situation, end: Endpoint) -> dict[str, float]:
     """Convert an endpoint to the frame of the ego at the trigger, as planners return it."""
     x, y, h = situation.frame.to_local(end.x, end.y, end.heading)
     return {"x": x, "y": y, "heading": h, "speed": end.speed, "time": end.time}
+
+
+def remembered(situation: Situation, answer: Answer) -> dict[str, float]:
+    """Return what a planner sees of its answer at its next call: the endpoint and the notes.
+
+    Args:
+        situation: The situation of the encounter.
+        answer: The answer.
+    """
+    return {**local_endpoint(situation, answer.endpoint), **answer.notes}
 
 
 def world_endpoint(situation: Situation, end: Mapping[str, float]) -> Endpoint:

@@ -12,6 +12,7 @@ The second check runs in this process and does not rely on the first. It checks 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,6 +20,9 @@ from sumo_adv.datatypes import Planner
 from sumo_adv.errors import PlannerResultError
 
 ENDPOINT_KEYS = ("x", "y", "heading", "speed", "time")
+NOTE_PREFIX = "note_"  # of the keys of an endpoint that the planner gets back in ``bv["last"]`` at its next call
+MAX_NOTES, MAX_NOTE_CHARACTERS, MAX_NOTE_VALUE = 4, 30, 1e6
+NOTE_KEY = re.compile(r"note_[a-z_]{1,25}")
 MAX_TRAJECTORY_STATES = 400
 MAX_MESSAGE_CHARACTERS = 500
 MAX_START_GAP_M = 3.0  # largest distance from the vehicle to the start of its trajectory
@@ -30,8 +34,10 @@ ENDPOINT_RANGES = {
 }  # fmt: skip
 """The range of each number in m, rad, m/s and s. In addition, ``time`` must be more than 0."""
 
-REDUCERS = """
+REDUCERS = (
+    """
 type_ID, len_ID, dict_ID, list_ID, tuple_ID, float_ID, int_ID = type, len, dict, list, tuple, float, int
+str_ID = str
 missing_ID = KeyError
 
 def number_ID(v):
@@ -41,12 +47,15 @@ def number_ID(v):
 def pick_ID(v):
     if type_ID(v) is not dict_ID:
         return "endpoint() must return a dict, not " + type_ID(v).__name__
-    if len_ID(v) != 5:
+    n = len_ID(v)
+    if n < 5 or n > MAX_KEYS:
         return "endpoint() must return exactly the keys x, y, heading, speed, time"
     try:
         x, y, h, s, t = v["x"], v["y"], v["heading"], v["speed"], v["time"]
     except missing_ID:
         return "endpoint() must return exactly the keys x, y, heading, speed, time"
+    if n > 5:
+        return noted_ID(v, (x, y, h, s, t))
     f = float_ID
     if type_ID(x) is f and type_ID(y) is f and type_ID(h) is f and type_ID(s) is f and type_ID(t) is f:
         return (x, y, h, s, t)
@@ -54,6 +63,17 @@ def pick_ID(v):
         if not number_ID(v[k]):
             return "endpoint() must return a plain number of at most 1e9 as " + k + ", not " + type_ID(v[k]).__name__
     return (x, y, h, s, t)
+
+def noted_ID(v, numbers):
+    notes = []
+    for k in v:
+        if type_ID(k) is not str_ID or len_ID(k) > MAX_LENGTH:
+            return "endpoint() must return the keys x, y, heading, speed, time, and short ones that begin with note_"
+        if k not in ("x", "y", "heading", "speed", "time"):
+            notes.append((k, v[k]))
+        if not number_ID(v[k]):
+            return "endpoint() must return plain numbers of at most 1e9, not " + type_ID(v[k]).__name__
+    return numbers + (tuple_ID(notes),)
 
 def one_ID(c):
     return pick_ID(endpoint(c[1], c[2], roads_ID[c[0]], c[3], c[4], c[5]))
@@ -83,6 +103,9 @@ def path_ID(c):
             out.append(n)
     return out
 """.replace("MAX_TRAJECTORY", str(MAX_TRAJECTORY_STATES))
+    .replace("MAX_KEYS", str(len(ENDPOINT_KEYS) + MAX_NOTES))
+    .replace("MAX_LENGTH", str(MAX_NOTE_CHARACTERS))
+)
 """Code of the session's helpers. A session replaces ``ID`` with random digits of its own."""
 
 
@@ -91,14 +114,20 @@ def check_endpoint(subject: str, value: Any) -> dict[str, float]:
 
     Args:
         subject: The planner, as the subject of messages.
-        value: What the session's reducer returned.
+        value: What the session's reducer returned: five numbers and, if the planner notes something, pairs of keys and
+            numbers.
 
     Returns:
-        The five numbers by name: x, y [m], heading [rad], speed [m/s] and time [s].
+        The five numbers by name: x, y [m], heading [rad], speed [m/s] and time [s]; and the notes by their keys.
 
     Raises:
-        PlannerResultError: The value is not a tuple of five valid numbers. The message says what is wrong.
+        PlannerResultError: The value is not a tuple of five valid numbers and valid notes. The message says what is
+            wrong.
     """
+    notes = {}
+    if type(value) is tuple and len(value) == len(ENDPOINT_KEYS) + 1:
+        *value, pairs = value
+        value, notes = tuple(value), _notes(subject, pairs)
     if type(value) is not tuple or len(value) != len(ENDPOINT_KEYS):
         raise _bad(subject, value)
     x, y, heading, speed, time = value
@@ -107,11 +136,38 @@ def check_endpoint(subject: str, value: Any) -> dict[str, float]:
         and -MAX_HEADING_RAD <= heading <= MAX_HEADING_RAD
         and 0.0 <= speed <= MAX_SPEED_M_S and 0.0 < time <= MAX_TIME_S
     ):  # the usual case: the checks below in one expression  # fmt: skip
-        return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time}
+        return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time, **notes}
     result = {name: _number(subject, name, n) for name, n in zip(ENDPOINT_KEYS, value, strict=True)}
     if result["time"] <= 0.0:
         raise PlannerResultError(f"{subject}: time must be more than 0 s, it is {result['time']!r}.")
-    return result
+    return result | notes
+
+
+def notes_of(endpoint: Mapping[str, float]) -> dict[str, float]:
+    """Return the notes of an endpoint, which a planner gets back at its next call.
+
+    Args:
+        endpoint: The endpoint, by name.
+    """
+    return {key: value for key, value in endpoint.items() if key.startswith(NOTE_PREFIX)}
+
+
+def _notes(subject: str, pairs: Any) -> dict[str, float]:
+    """Check the notes of an endpoint, given as pairs of key and number."""
+    if type(pairs) is not tuple or len(pairs) > MAX_NOTES:
+        raise _bad(subject, pairs)
+    notes: dict[str, float] = {}
+    for pair in pairs:
+        if type(pair) is not tuple or len(pair) != 2 or type(pair[0]) is not str:
+            raise _bad(subject, pair)
+        key, value = pair
+        if not NOTE_KEY.fullmatch(key):
+            shown = printable_line(key)
+            raise PlannerResultError(f"{subject}: endpoint() returns {shown!r}; further keys are note_ and a-z.")
+        if type(value) not in (int, float) or not abs(value) <= MAX_NOTE_VALUE:
+            raise PlannerResultError(f"{subject}: {key} must be a number within {MAX_NOTE_VALUE:g}.")
+        notes[key] = float(value)
+    return notes
 
 
 def check_trajectory(subject: str, value: Any) -> list[tuple[float, float, float, float]]:

@@ -1,9 +1,10 @@
 """The sessions of many proposals: one session per planner, called for many vehicles and times at once.
 
 Trusted planners run in this process. They give the same answers about 20 times as fast. The shipped texts, listed in
-``TRUSTED``, are trusted. The table ``PARAMETERS`` and the word ``MOVEMENT`` may differ, because versions of a planner
-differ in them. The table is read and never run. Every other text of a bank or a model runs in the sandbox. If a trusted
-planner fails in this process, it is run in the sandbox for the sandbox's error message.
+``TRUSTED``, are trusted. The table ``PARAMETERS``, the word ``MOVEMENT`` and the table ``SCRIPT`` may differ, because
+versions of a planner and scripts differ in them. The table ``PARAMETERS`` is read and never run, and a table ``SCRIPT``
+holds only words and numbers. Every other text of a bank or a model runs in the sandbox. If a trusted planner fails in
+this process, it is run in the sandbox for the sandbox's error message.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from sumo_adv.datatypes import Planner, Proposal
 from sumo_adv.errors import PlannerLimitError, SandboxError
 from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation, call_of, planner_road, world_endpoint
 from sumo_adv.planners.follower import leaves_road
-from sumo_adv.planners.results import ENDPOINT_KEYS, check_endpoint, subject_of
+from sumo_adv.planners.results import ENDPOINT_KEYS, check_endpoint, notes_of, subject_of
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.session import MAX_STOPPED_CALLS, Call, PlannerSession
 from sumo_adv.planners.text import HELPERS_CODE, read_planner_text
@@ -57,13 +58,17 @@ TRUSTED = frozenset(
         "cd088138c5c7ecfc11d5993c76a64d84d5a3d01fbb99ac783529e977341b1993",  # beside, of supports
         "5be1f147619f6221ea4bf3b634a4a60e47832fcc3ef4426ada7f2f7d4324e324",  # pace, of supports
         "4283ecf2a54fa972c12c8dbeb66c821855f5eeb135b5aa656e83d1dbd6da3485",  # pass, of supports
+        "2081c29588729aee53054e6a5b5cb9958ef0646be665f7c3b30a24d6ca0b4999",  # script
     }
 )
-"""Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py`` and ``search/intents.py``. This list
-is part of the code so that no bank can claim to be trusted."""
+"""Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py``, ``search/intents.py`` and
+``scripts.py``. This list is part of the code so that no bank can claim to be trusted."""
 
 ENDPOINT_VALUES = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
+_WORD_OR_NUMBER = r'(?:"[a-z0-9_]+"|-?[0-9]+\.[0-9]+)'
+_ROW = rf"    \({_WORD_OR_NUMBER}(?:, {_WORD_OR_NUMBER}){{4}}\),\n"
+SCRIPT = re.compile(rf"^SCRIPT = \[\n(?:{_ROW}){{1,8}}\]$", re.MULTILINE)
 
 
 def body(text: str) -> str:
@@ -81,12 +86,13 @@ def body(text: str) -> str:
 
 
 def fingerprint(text: str) -> str:
-    """Return the SHA-256 of the body of a planner's text. It is equal for all movements.
+    """Return the SHA-256 of the body of a planner's text. It is equal for all movements and scripts.
 
     Raises:
         PlannerSyntaxError: The text is not a planner.
     """
-    return hashlib.sha256(MOVEMENT.sub('MOVEMENT = "any"', body(text)).encode()).hexdigest()
+    compared = SCRIPT.sub("SCRIPT = []", MOVEMENT.sub('MOVEMENT = "any"', body(text)))
+    return hashlib.sha256(compared.encode()).hexdigest()
 
 
 @lru_cache(maxsize=1024)
@@ -98,7 +104,7 @@ def _is_trusted_text(text: str) -> bool:
 
 
 def is_trusted(planner: Planner) -> bool:
-    """Return whether the planner's text is a shipped one, apart from its parameter table and its movement."""
+    """Return whether the planner's text is a shipped one, apart from its parameters, movement and script."""
     return _is_trusted_text(planner.text)
 
 
@@ -152,7 +158,8 @@ class InProcessSession:
     def _answer(self, call: Call) -> dict[str, float]:
         key, bv, ego, parameters, acc, horizon = call
         value = self._endpoint(bv, ego, self._roads[key], dict(parameters), acc, horizon)
-        return check_endpoint(self._subject, ENDPOINT_VALUES(value))
+        notes = (tuple(notes_of(value).items()),) if len(value) > len(ENDPOINT_KEYS) else ()
+        return check_endpoint(self._subject, ENDPOINT_VALUES(value) + notes)
 
 
 ROAD_KEY = "road"
@@ -176,7 +183,7 @@ def ask_trusted(proposal: Proposal, situation: Situation, fallback: AskOne) -> A
     def ask(observation: PlannerObservation) -> Answer | str:
         try:
             end = session.endpoint(*call_of(proposal, ROAD_KEY, observation, situation.horizon))
-            return Answer(world_endpoint(situation, end))
+            return Answer(world_endpoint(situation, end), notes=notes_of(end))
         except SandboxError:
             return fallback(observation)
 
@@ -352,9 +359,9 @@ class Sessions:
             SandboxError: The planner's ``trajectory`` failed.
         """
         situation, planner = self._situation(proposal), proposal.planner
-        endpoint, session = world_endpoint(situation, end), self._open[planner.hash]
+        endpoint, notes, session = world_endpoint(situation, end), notes_of(end), self._open[planner.hash]
         if isinstance(session, InProcessSession) or not session.has_trajectory:
-            return Answer(endpoint)
+            return Answer(endpoint, notes=notes)
         if self._spent[planner.hash] > seconds:
             raise PlannerLimitError(f"{subject_of(planner)}: trajectory() is too slow for predictions: make it faster.")
         began = time.perf_counter()
@@ -366,5 +373,5 @@ class Sessions:
             leaves = leaves_road(states, bv.length, bv.width, situation.dt, self._drivable)
             if leaves is not None:
                 remark = f"trajectory() leaves the road {leaves:.1f} s later, and the built-in one was driven"
-                return Answer(endpoint, None, remark)
-        return Answer(endpoint, states)
+                return Answer(endpoint, None, remark, notes)
+        return Answer(endpoint, states, notes=notes)

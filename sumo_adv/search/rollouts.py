@@ -16,7 +16,7 @@ from sumo_adv.datatypes import Bools, Floats, Limits, Proposal
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.answers import Answer, PlannerObservation, local_endpoint
+from sumo_adv.planners.answers import Answer, PlannerObservation, remembered
 from sumo_adv.planners.follower import Follower
 from sumo_adv.planners.trajectory import Batch, Motion, PathEndpoint, advance, one_of, pose, put_back, release, steer
 from sumo_adv.situation import Situation
@@ -132,7 +132,7 @@ def _replan(
     answers = ask(rows, observations)
     for k in rows:
         answer = answers[k]
-        last[k] = None if answer is None else local_endpoint(ground.scenes.of[k], answer.endpoint)
+        last[k] = None if answer is None else remembered(ground.scenes.of[k], answer)
     goal = ground.aim(motion, [None if a is None else a.endpoint for a in answers], goal)
     before = motion
     motion = _steer(ground, motion, goal, [k for k in followers if answers[k] is not None])

@@ -14,6 +14,7 @@ from typing import Any, Literal
 from sumo_adv.asked import Asked
 from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.errors import UsageError, nearest
+from sumo_adv.script import Script
 from sumo_adv.simulation.maps import MAPS, MapConversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, scan_demand, scan_network
@@ -87,6 +88,7 @@ class RunInput:
         candidates: Vehicles that may attack; empty means no restriction.
         supports: Vehicles that may support the attack; empty means no restriction.
         intents: Intents that may be used; empty means no restriction.
+        scripts: Intents that the scenario brings along.
         label: The label of the scenario.
         files: All files that a manifest must copy.
         playback: What a log moves.
@@ -120,6 +122,7 @@ class RunInput:
     candidates: tuple[str, ...] = ()
     supports: tuple[str, ...] = ()
     intents: tuple[str, ...] = ()
+    scripts: tuple[Script, ...] = ()
     label: Label | None = None
     files: tuple[Path, ...] = ()
     playback: PlaybackSpec | None = None
@@ -316,7 +319,7 @@ def _from_scenario(path: Path) -> RunInput:
         ego_sensing=scenario.ego.sensing,
         trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
         candidates=scenario.adversary.candidates, supports=scenario.adversary.supports,
-        intents=scenario.adversary.intents, label=scenario.label,
+        intents=scenario.adversary.intents, scripts=scenario.scripts, label=scenario.label,
         files=(path, network, *routes, *additional, *_named(scans), *(playback.files if playback else ())),
         playback=playback, asked=scenario.asked, words=scenario.written.words if scenario.written else "",
     )  # fmt: skip

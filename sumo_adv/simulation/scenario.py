@@ -19,6 +19,7 @@ from sumo_adv.datatypes import MAX_ADVERSARIES, Relation
 from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import dotted, first_fault, read_toml
+from sumo_adv.script import Script
 
 SCENARIO_SCHEMA = 1
 # Files of an imported or kept scenario.
@@ -165,6 +166,7 @@ class Scenario(_Table):
     parked: tuple[ObstacleBox, ...] = ()
     pedestrians: tuple[ObstacleBox, ...] = ()
     cyclists: tuple[ObstacleBox, ...] = ()
+    scripts: tuple[Script, ...] = ()
     written: RequestOrigin | None = None
     asked: Asked | None = None
 
@@ -205,6 +207,7 @@ def _known_keys(location: tuple[int | str, ...]) -> str:
     tables: dict[str, type[BaseModel]] = {
         "demand": Demand, "ego": Ego, "window": AttackWindow, "adversary": Adversary, "signals": Signals,
         "label": Label, "parked": ObstacleBox, "pedestrians": ObstacleBox, "cyclists": ObstacleBox,
+        "scripts": Script,
         "written": RequestOrigin, "asked": Asked,
     }  # fmt: skip
     table = tables.get(str(location[0]), Scenario) if len(location) > 1 else Scenario

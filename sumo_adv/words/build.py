@@ -19,6 +19,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines, toml_text, toml_value
 from sumo_adv.words.draft import EgoDraft, LightsPhase, SceneDraft, VehicleDraft
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
+from sumo_adv.words.scripts import check_script, script_tables
 
 MEETING_TIME_S = 9.0  # after the start; the ego then reaches the place where it meets others
 MIN_TIME_TO_MEETING_S = 5.5  # minimum time from the ego's start to the meeting
@@ -82,6 +83,7 @@ def build_scenario(scene: SceneDraft, target: Path, written: RequestOrigin, give
     _check_speed(scene.ego.speed, ego_drive, "The ego")
     placed = [_place(v, drives[v.id], scene.ego, ego_drive, start) for v in scene.vehicles]
     _check_room(placed, scene.ego, ego_drive, start)
+    _check_script(scene, drives, net)
     stem.with_suffix(".rou.xml").write_text(_demand(scene.ego, ego_drive, start, placed), encoding="utf-8")
     phases = scene.road.lights or [LightsPhase(shows="ego_green", seconds=ALWAYS_S)]
     states = [net.light_states(ego_drive.edges, phase.shows) for phase in phases]
@@ -203,6 +205,20 @@ def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: VehicleRoute, st
                 )
 
 
+def _check_script(scene: SceneDraft, drives: Mapping[str, VehicleRoute], net: Net) -> None:
+    """Check that the adversary can play the script of the attack, if it has one."""
+    script, name = scene.attack.script, scene.attack.adversary
+    if script is None:
+        return
+    actor = next((v for v in scene.vehicles if v.id == name), None)
+    if actor is None:
+        raise UsageError(
+            f"'{name}' is no vehicle, and a script is for vehicles: take an intent, or describe it in novel."
+        )
+    speed = 0.0 if actor.stands else actor.speed / 3.6
+    check_script(script, f"'{name}'", speed, ACTOR_SIZES_M[actor.type], drives[name], net, DRAFT_HORIZON_S)
+
+
 def _demand(ego: EgoDraft, ego_drive: VehicleRoute, start: float, placed: list[Placed]) -> str:
     """Return SUMO's demand: types, vehicles and routes."""
     rows: list[tuple[str, str, float, VehicleRoute, float, bool]]
@@ -275,6 +291,7 @@ def _scenario(
         f"intents = {toml_value(attack.labels)}\n" if attack.labels else "",
         f"\n[signals]\nfiles = [{toml_text(f'{stem}.add.xml')}]\n" if lights else "",
         *tables,
+        "" if attack.script is None else script_tables(attack.script),
         _table("written", {"words": written.words, "model": written.model, "date": written.date}),
         _table("asked", attack.asked.model_dump(mode="json", exclude_defaults=True)),
     ]  # fmt: skip

@@ -11,27 +11,13 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from sumo_adv.asked import Asked
+from sumo_adv.script import AppliesTo, Script
 
 Edge = Annotated[str, Field(min_length=1, max_length=60)]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,29}$")]
 Kmh = Annotated[float, Field(ge=0, le=160)]
 RoadKind = Literal["shipped", "given", "straight", "ramp", "lane_drop", "t", "crossing", "roundabout"]
 VehicleType = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
-Relation = Literal[
-    "leader",
-    "follower",
-    "neighbour",
-    "oncoming",
-    "crossing_left",
-    "crossing_straight",
-    "crossing_right",
-    "merging",
-    "cyclist",
-    "cyclist_hidden",
-    "pedestrian",
-    "pedestrian_hidden",
-]
-"""``memory/records.py:RELATIONS``."""
 MAX_ACTORS = 12
 
 
@@ -116,14 +102,15 @@ class NovelDraft(_Part):
 
     label: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9 '-]{2,59}$")
     description: str = Field(min_length=20, max_length=500)
-    applies: list[Relation] = Field(min_length=1, max_length=4)
+    applies: list[AppliesTo] = Field(min_length=1, max_length=4)
 
 
 class AttackDraft(_Part):
-    """The attack. adversary, supports: ids of vehicles or walkers. intents: known ones, empty for any. novel: if none
-    of them can be it."""
+    """The attack. adversary, supports: ids of vehicles or walkers. intents: known ones, empty for any. script: what the
+    adversary does, if none of them can be it; novel: if no script can say it either."""
 
     adversary: Name
+    script: Script | None = None
     novel: NovelDraft | None = None
     intents: list[str] = Field(default_factory=list, max_length=4)
     supports: list[Name] = Field(default_factory=list, max_length=2)
@@ -131,8 +118,9 @@ class AttackDraft(_Part):
 
     @property
     def labels(self) -> list[str]:
-        """The intents to try, the novel one first; empty for any."""
-        return ([] if self.novel is None else [self.novel.label]) + self.intents
+        """The intents to try, the script and the novel one first; empty for any."""
+        own = [part.label for part in (self.script, self.novel) if part is not None]
+        return own + self.intents
 
 
 class SceneDraft(_Part):

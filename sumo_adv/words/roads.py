@@ -317,6 +317,36 @@ class Net:
             centreline(chosen.getShape3D(), float(chosen.getLength())), float(chosen.getSpeed()), begins,
         )  # fmt: skip
 
+    def lanes_beside(self, drive: VehicleRoute) -> tuple[int, int]:
+        """Return how many lanes for cars are to the right and to the left of a way at its beginning.
+
+        Lanes of the opposite direction count as lanes to the left.
+
+        Args:
+            drive: The way.
+        """
+        edge = self._net.getEdge(drive.edges[0])
+        back = [e for e in edge.getToNode().getOutgoing() if e.getToNode() is edge.getFromNode()]
+        own = [lane.getIndex() for lane in edge.getLanes() if lane.allows("passenger")]
+        opposite = sum(lane.allows("passenger") for e in back for lane in e.getLanes())
+        right = sum(index < drive.lane for index in own)
+        return right, sum(index > drive.lane for index in own) + opposite
+
+    def turn(self, drive: VehicleRoute) -> str | None:
+        """Return where a way goes at the end of its first edge.
+
+        Args:
+            drive: The way.
+
+        Returns:
+            Left, right or straight on; None if it has one edge.
+        """
+        if len(drive.edges) < 2:
+            return None
+        edge, after = (self._net.getEdge(name) for name in drive.edges[:2])
+        directions = {str(c.getDirection()).lower() for c in edge.getConnections(after)}
+        return "left" if "l" in directions else "right" if "r" in directions else "straight on"
+
     def light_states(self, edges: Sequence[str], shows: str) -> dict[str, str]:
         """Return the state of each traffic light in a phase of a draft. Left turns wait for oncoming traffic.
 
