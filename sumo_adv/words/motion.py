@@ -17,6 +17,7 @@ from sumo_adv.asked import Event
 from sumo_adv.datatypes import Bools, Boxes, Floats, Track
 from sumo_adv.geometry import Path, wrap
 from sumo_adv.metrics.boxes import height_as, on_grid, row_of
+from sumo_adv.metrics.reference.sight import SightLimits
 from sumo_adv.metrics.reference.view import hidden
 from sumo_adv.road_users import RoadUser, road_user
 
@@ -49,6 +50,7 @@ class Scene:
         side: The side of the ego that is hit, where the tracks end; None without a contact.
         start: The start of the attack [s].
         light: When the adversary passes its stop line on red or yellow [s], and that event; None if it does not.
+        sight: How far the ego sees along its way; None without a limit.
     """
 
     ego: Track
@@ -60,6 +62,7 @@ class Scene:
     side: str | None
     start: float
     light: tuple[float, Event] | None = None
+    sight: SightLimits | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +206,8 @@ def _hidden(scene: Scene, course: Course) -> tuple[float, float] | None:
         height = height_as(boxes, lambda z: z[None])
         screens = Boxes(x, y, heading, speed, boxes.length[None], boxes.width[None], height)  # type: ignore[index]
         away = hidden(row_of(course.ego), row_of(course.adversary), screens)[0]
+    if scene.sight is not None:
+        away |= course.along.s - course.along.reach - course.ego_along.s > scene.sight.along(course.ego)
     in_way = min((time for time, event in course.events if event in INTO_THE_WAY), default=math.inf)
     begins = [k for k in np.flatnonzero(away).tolist() if (k == 0 or not away[k - 1]) and t[k] < in_way]
     for k in begins:
