@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -34,6 +35,7 @@ MAX_BESIDE_OFFSET_M = 4.5  # maximum offset of a vehicle beside the ego
 AFTER_APPROACH_S = 3.0  # how long after the nearest approach events count if nothing is hit
 MAX_DESCRIBED_OTHERS = 4  # maximum number of other vehicles in the description, nearest first
 DESCRIPTION_STEP_S = 1.0  # between the lines of the description
+LANE_CHANGE_STATES = 5  # before and after the ego is over a line; they show to which side it moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -387,6 +389,7 @@ def _words(
     lines = [
         f"EGO is {ego.length:.1f} m long and {_route(scene, ego, a)}. A is a {user}, {bv.length:.1f} m long and "
         f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
+        *_lane_changes(ego, t),
         *([] if unseen is None else [_unseen(unseen)]),
         *_others(a, others),
     ]
@@ -404,6 +407,18 @@ def _words(
         )
     end = "They do not touch." if scene.side is None else f"They collide: EGO is hit at its {scene.side}."
     return "\n".join([*lines, end])
+
+
+def _lane_changes(ego: Track, t: Floats) -> list[str]:
+    """Say when the ego comes into another lane of its road."""
+    lines = []
+    for k, (before, after) in enumerate(pairwise(ego.lane), start=1):
+        if before != after and before.rpartition("_")[0] == after.rpartition("_")[0] and not after.startswith(":"):
+            a, b = max(k - LANE_CHANGE_STATES, 0), min(k + LANE_CHANGE_STATES, len(t) - 1)
+            dx, dy, heading = ego.x[b] - ego.x[a], ego.y[b] - ego.y[a], ego.heading[a]
+            side = "left" if dy * np.cos(heading) > dx * np.sin(heading) else "right"
+            lines.append(f"EGO changes to the lane on its {side}; it is over the line at {t[k]:.1f} s.")
+    return lines
 
 
 def _unseen(between: tuple[float, float]) -> str:
