@@ -324,3 +324,27 @@ def test_a_run_attacks_as_the_ego_changes_lanes(tmp_path: Path, program: Program
     again = program.here("run", "--replay", "out", "--out", "again")
     assert again.status == 0, again.err
     assert read_states(program.folder / "again" / "states.csv.gz") == attacked
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("run", "a.toml", "--ego-id", "bv"), "those of its own ego: leave --ego-id out"),
+        (("serve", "a.toml", "--out", "out"), "which serve does not know: take them out"),
+    ],
+)
+def test_moves_are_those_of_the_scenarios_ego(
+    tmp_path: Path, program: Program, arguments: Sequence[str], says: str
+) -> None:
+    write(program.folder / "a.rou.xml", DEMAND)
+    write(program.folder / "a.toml", SCENARIO)
+    done = program.here(*arguments)
+    assert done.status == 2 and says in done.err
+
+
+def test_a_run_without_an_encounter_names_the_move(tmp_path: Path, program: Program) -> None:
+    """The other vehicle is 250 m ahead."""
+    write(program.folder / "a.rou.xml", DEMAND.replace('departPos="75.0"', 'departPos="310.0"'))
+    write(program.folder / "a.toml", SCENARIO)
+    done = program.here("run", "a.toml", "--learn", "off", "--out", "out")
+    assert "No encounter begins more than 4 s before the ego's move change_left at 150 m." in done.out
