@@ -21,6 +21,7 @@ from sumo_adv.config import LimitSettings, ModelSettings, Settings
 from sumo_adv.config_odd import Odd
 from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.script import Action, Condition, Script
+from sumo_adv.ego_way import EgoMove, SightStretch
 from sumo_adv.simulation.scenario import Adversary, AttackWindow, Demand, Ego, Label, ObstacleBox, Scenario, Signals
 
 PAGE = ROOT / "docs" / "settings.md"
@@ -32,6 +33,7 @@ PARTS: Mapping[str, type[BaseModel]] = {  # of a scenario file, all in one table
     "": Scenario, "[demand] ": Demand, "[ego] ": Ego, "[window] ": AttackWindow, "[adversary] ": Adversary,
     "[signals] ": Signals, "[label] ": Label, "[written] ": RequestOrigin, "[asked] ": Asked, "[[...]] ": ObstacleBox,
     "[[scripts]] ": Script, "[[scripts.actions]] ": Action, "[scripts.actions.when] ": Condition,
+    "[[moves]] ": EgoMove, "[[sight]] ": SightStretch,
 }  # fmt: skip
 WORDS = {float: "number", int: "whole number", str: "text", bool: "true, false", Path: "path", SecretStr: "text"}
 SIGNS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}", "min_length": "{} or more characters"}

@@ -67,7 +67,10 @@ def test_a_hunt_says_what_is_left(program: Program) -> None:
     """On the live line, at the end, in JSON and in the figure; and the benchmark reads the folder."""
     options = ("--ego", "idm", "--until", "valid", "--distinct", "1", "--minutes", "2", "--workers", "1", "--no-pages")
     done = program.here("hunt", "signals_red_light", *options, "--out", "hunt")
-    assert done.status == 0 and "Estimate of what is left: the next episode brings a new kind with a probability of " in done.out, done.err
+    assert (
+        done.status == 0
+        and "Estimate of what is left: the next episode brings a new kind with a probability of " in done.out
+    ), done.err
     assert (program.folder / "hunt" / "scenarios.csv").read_text().startswith("list,scenario,encounters,attempts,")
     samples = kinds_by_encounter(Path(program.folder / "hunt"))
     after = over_time(Path(program.folder / "hunt"))[-1].discovery

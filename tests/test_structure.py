@@ -19,6 +19,7 @@ LEVELS = (
         "consistency",
         "datatypes",
         "ego_sensing",
+        "ego_way",
         "errors",
         "files",
         "geometry",

@@ -283,3 +283,55 @@ def test_a_script_that_cannot_be_played_is_one_sentence(tmp_path: Path, draft: S
     with pytest.raises(UsageError) as raised:
         build_scenario(draft, tmp_path / "my.toml", WRITTEN)
     assert says in str(raised.value), raised.value
+
+
+# ---- the ego's own moves
+
+
+def ego_on(*moves: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """An ego at 10 m/s from the west to the east."""
+    return {**WEST_EAST, "moves": list(moves), **more}
+
+
+CROSSING = {"kind": "crossing", "lanes": 1, "length": 400}
+
+
+def test_moves_and_crests_are_in_the_scenario(tmp_path: Path) -> None:
+    """36 km/h are 10 m/s."""
+    ego = ego_on(
+        {"does": "stop", "at": 60, "seconds": 2}, {"does": "speed", "at": 90, "speed": 36, "attacked": True},
+        crests=[{"begin": 20, "end": 80, "limit": 40}],
+    )  # fmt: skip
+    made = load_input(build_scenario(scene(CROSSING, ego, other(("north_in", "south_out"), arrives=0)),
+                                     tmp_path / "my.toml", WRITTEN))  # fmt: skip
+    assert [(m.does, m.at, m.seconds, m.speed, m.attacked) for m in made.moves] == [
+        ("stop", 60.0, 2.0, None, False), ("speed", 90.0, None, 10.0, True),
+    ]  # fmt: skip
+    assert [(s.begin, s.to, s.limit) for s in made.sight] == [(20.0, 80.0, 40.0)]
+
+
+def test_a_vehicle_meets_an_ego_that_stops_before(tmp_path: Path) -> None:
+    """Stopping from 10 m/s at 2 m/s2 costs 2.5 s, standing 2 s, and speeding up at 2.6 m/s2 1.9 s: some 6.4 s. Without
+    the stop both drive 90 m; with it the ego drives some 64 m less in the 9 s."""
+    placed = {}
+    for name, moves in (("calm", []), ("stops", [{"does": "stop", "at": 10, "seconds": 2}])):
+        (tmp_path / name).mkdir()
+        drawn = scene(CROSSING, ego_on(*moves), other(("north_in", "south_out"), arrives=0))
+        build_scenario(drawn, tmp_path / name / "my.toml", WRITTEN)
+        placed[name] = {vehicle: place for vehicle, (place, _) in starts(tmp_path / name).items()}
+    assert placed["stops"]["other"] == pytest.approx(placed["calm"]["other"], abs=1.0)
+    assert placed["stops"]["ego"] - placed["calm"]["ego"] == pytest.approx(64.0, abs=10.0)
+
+
+@pytest.mark.parametrize(
+    ("moves", "says"),
+    [
+        ([{"does": "stop", "at": 50}], "stop needs seconds"),
+        ([{"does": "turn_left", "at": 50}], "leave at and time out"),
+        ([{"does": "change_left", "at": 9, "attacked": True}] * 2, "Only one move of the ego can be attacked"),
+    ],
+)
+def test_a_draft_with_a_faulty_move_is_refused(tmp_path: Path, moves: list[dict[str, Any]], says: str) -> None:
+    drawn = scene(CROSSING, ego_on(*moves), other(("north_in", "south_out"), arrives=0))
+    with pytest.raises(UsageError, match=says):
+        build_scenario(drawn, tmp_path / "my.toml", WRITTEN)

@@ -261,6 +261,8 @@ def _input(source: Path) -> Any:
     run_input = app.load(source, None)
     if run_input.playback is not None:
         raise UsageError(f"{source} plays a log back, which serve does not do: give a scenario without tracks.")
+    if run_input.moves or run_input.sight:
+        raise UsageError(f"{run_input.path} has moves or sight of its ego, which serve does not know: take them out.")
     return run_input
 
 

@@ -83,8 +83,9 @@ class CarefulEgo:
         if self._watcher is None:
             self._watcher = Watcher(CcHuman, observation.dt)
         target = self._watcher.speed(
-            observation.ego, observation.others, path_of(observation), lane_half_width_of(observation)
-        )
+            observation.ego, observation.others, path_of(observation), lane_half_width_of(observation),
+            observation.sight,
+        )  # fmt: skip
         return None if math.isinf(target) else LaneSpeed(None, target)
 
 

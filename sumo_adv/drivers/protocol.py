@@ -237,6 +237,11 @@ class Observation:
         path: Points (x, y) on the centre line of the ego's lane and of its route [m], from the ego, or a few metres
             before it, to at least 60 m ahead.
         road: The map at the ego.
+        wanted_lane: SUMO's index of the lane that the scenario wants the ego to change to now, as in ``LaneSpeed``;
+            None without such a demand.
+        wanted_speed: The speed that the scenario wants the ego to have now, at most [m/s]; it falls at 2 m/s2 before a
+            stop, and is 0 while the ego is to stand. None without such a demand.
+        sight: How far ahead along its path the road lets the ego see [m], as before a crest; inf without a limit.
     """
 
     time: float
@@ -247,6 +252,9 @@ class Observation:
     lane_offset: float | None = None
     path: Sequence[tuple[float, float]] | None = None
     road: Road | None = None
+    wanted_lane: int | None = None
+    wanted_speed: float | None = None
+    sight: float = math.inf
 
 
 Points: TypeAlias = Sequence[tuple[float, float]]
@@ -471,6 +479,8 @@ class Wishes:
         sees_buildings: Whether buildings block the view.
         bicycle: The car that ``Steer`` moves.
         path_ahead: How far ahead ``path`` reaches at least [m]; None means 80 m.
+        makes_moves: Whether a ``LaneSpeed`` of the driver already makes the ego's moves. Otherwise SUMO carries them
+            out.
     """
 
     needs_road: bool = False
@@ -478,6 +488,7 @@ class Wishes:
     sees_buildings: bool = False
     bicycle: Bicycle = DEFAULT_BICYCLE
     path_ahead: float | None = None
+    makes_moves: bool = False
 
 
 def wishes_of(controller: Any) -> Wishes:
@@ -518,4 +529,5 @@ def read_wishes(driver: Any, spec: str) -> Wishes:
             f"The ego {spec!r} has path_ahead = {ahead!r}; it must be a number of metres, above 0 and at most "
             f"{MAX_PATH_AHEAD_M:g}."
         )
-    return Wishes(**flags, bicycle=Bicycle(**numbers), path_ahead=None if ahead is None else float(ahead))
+    reach = None if ahead is None else float(ahead)
+    return Wishes(**flags, bicycle=Bicycle(**numbers), path_ahead=reach, makes_moves=True)

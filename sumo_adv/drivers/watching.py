@@ -8,6 +8,7 @@ loop (``episode/references.py``) use it, so all of them see the same path, lane 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from sumo_adv.datatypes import Boxes, Floats, VehicleState
 from sumo_adv.drivers.protocol import Observation, Vehicle
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.reference import Braker
+from sumo_adv.metrics.reference.sight import in_reach
 from sumo_adv.metrics.reference.view import YAW_RATE_SPAN_S, EgoPaths, View, is_same_direction
 from sumo_adv.road_users import is_unprotected
 
@@ -157,7 +159,8 @@ class Watcher:
         return self._driver
 
     def speed(
-        self, ego: VehicleState, others: Sequence[VehicleState], path: EgoPaths, lane_half_width: float
+        self, ego: VehicleState, others: Sequence[VehicleState], path: EgoPaths, lane_half_width: float,
+        sight: float = math.inf,
     ) -> float:  # fmt: skip
         """Look at the traffic of one step.
 
@@ -166,11 +169,13 @@ class Watcher:
             others: The other vehicles near it. The ego itself and hidden road users are left out.
             path: The ego's path, of one ego.
             lane_half_width: Half the width of the ego's lane [m].
+            sight: How far ahead along the path the road lets the driver see [m].
 
         Returns:
             The speed to which the driver brakes within this step [m/s]; ``inf`` if it does not brake.
         """
-        seen = [o for o in others if o.id != ego.id and _in_sight(ego, o) and _is_noticed(o)]
+        near = [o for o in others if o.id != ego.id and _in_sight(ego, o) and _is_noticed(o)]
+        seen = [o for o, reached in zip(near, in_reach(path, ego, near, sight), strict=True) if reached]
         column = {name: k for k, name in enumerate(self._watched)}
         self._driver.watch(np.array([column.get(o.id, -1) for o in seen], dtype=np.intp))
         self._watched = [o.id for o in seen]

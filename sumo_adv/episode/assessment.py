@@ -34,6 +34,7 @@ from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine, PlannerQuestion
 from sumo_adv.episode.rules_broken import RED, YELLOW, light_at_line
 from sumo_adv.episode.scenario_naming import scenario_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.episode.verdict import sight_from
 from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.goal import Goal
 from sumo_adv.llm.asking import MeteredModel
@@ -366,6 +367,7 @@ def motion_of(
             cut[found.ego], cut[p.bv], others, situation.baseline.path, first.relation, first.hidden,
             attempt.verdict.contact_side if attempt.verdict.collided else None, start,
             _runs_light(p.bv, situation, result, float(cut[p.bv].time[0]) if len(cut[p.bv].time) else start),
+            sight_from(found, settings, start),
         )
     )  # fmt: skip
 

@@ -26,6 +26,7 @@ from sumo_adv.drivers import (
 from sumo_adv.drivers.protocol import DriverInside, wishes_of
 from sumo_adv.drivers.sumo_driven import defaults_of
 from sumo_adv.episode.ego_place import EgoPlace, LanePlace, back_to_lane
+from sumo_adv.episode.ego_way import EgoWay
 from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose, same_layer
 from sumo_adv.simulation.ego_types import EGO_TYPE, ego_types_xml, vehicle_types
@@ -147,6 +148,7 @@ class Drive:
         heights: Set if the network's roads have heights.
         playback: The log that is played back; None without one.
         until: The time at which attempts end because the log itself soon becomes dangerous [s]; otherwise inf.
+        way: Follows the ego along its way; None if the scenario demands nothing of it there.
     """
 
     def __init__(
@@ -183,6 +185,7 @@ class Drive:
         self.heights: Heights | None = None
         self.playback = playback
         self.until = math.inf
+        self.way: EgoWay | None = None
         if playback is not None:
             playback.start(self.simulation)
 
@@ -501,9 +504,13 @@ class Drive:
         assert self.ego is not None
         heeds = False
         wishes = wishes_of(self.controller)
+        if self.way is not None:
+            self.way.look(self)
         if action is None:
             waits = isinstance(self.controller, ReplayEgo) and not self._playing
             if waits or not self.controller.needs_observation:
+                if self.way is not None:
+                    self.way.carry_out(self)
                 return
             observation = self.observation()
             with self._driver("act"):
@@ -526,6 +533,8 @@ class Drive:
                 self.simulation.change_lane(self.ego, action.lane)
         else:
             self.simulation.set_speed(self.ego, None)
+        if self.way is not None and (action is None or (isinstance(answer, LaneSpeed) and not wishes.makes_moves)):
+            self.way.carry_out(self, answer.speed if isinstance(answer, LaneSpeed) else None)
         self.actions.answered(answer, reachable)
 
     def _note_inside(self, action: Action) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.ego_way import EgoWay
 from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, EncounterDetector, RankedVehicle, vehicles_of
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
@@ -56,6 +57,8 @@ class EncounterSearch:
     def begin(self) -> None:
         """Prepare a simulation that was just loaded: forget the road ahead, and insert the ego if it has a route."""
         self.drive.observe = Surroundings(self.road, self._meetings, self.drive, self.task.spec.additional)
+        demanded = self.task.moves or self.task.sight
+        self.drive.way = EgoWay(self.road, self.task.moves, self.task.sight) if demanded else None
         route = self.task.ego
         if isinstance(route, EgoRoute):
             depart = {
@@ -130,9 +133,12 @@ class EncounterSearch:
                     return NoEncounter(
                         Ending.EGO_LEFT,
                         f"The vehicle '{requested}' was gone at {drive.now:.1f} s; {detector.needed}. "
-                        "A driver of yours may be faster than road.limit.",
+                        "A driver of yours may be faster than road.limit."
+                        f"{drive.way.missed if drive.way is not None else ''}",
                     )
                 drive.release()
+            elif drive.way is not None and drive.way.awaits_move(drive):
+                continue
             elif task.trigger is not None:
                 if drive.now >= task.trigger - 1e-6:
                     self._refuse_unknown()
@@ -202,11 +208,13 @@ class EncounterSearch:
             return NoEncounter(Ending.NO_ENCOUNTER, why)
         if self.drive.recorded():
             return NoEncounter(Ending.NO_ENCOUNTER, f"{detector.missing} Try another --ego-id.")
+        missed = "" if self.drive.way is None else self.drive.way.missed
         return NoEncounter(
             Ending.NO_ENCOUNTER,
             f"No {vehicles_of(self.task.settings.kind)} came into a position to endanger the ego before "
             f"{self.drive.now:.0f} s ({detector.needed}); "
-            f"try a longer --end, more --density, another --seed or --ego-id. {detector.outside}".rstrip(),
+            f"try a longer --end, more --density, another --seed or --ego-id. {detector.outside}".rstrip()
+            + missed,
         )
 
     def _refuse_unknown(self) -> None:

@@ -108,8 +108,9 @@ class OpenEncounter:
             first = max(0, len(drive.recording.snapshots) - settings.steps(WARM_UP_S))
             log = self.baseline_ego if drive.replayed() or isinstance(tested, ReplayEgo) else None
             strong = partial(drive.simulation.strengthen, drive.ego, MAX_BRAKING_M_S2)
+            sight = None if drive.way is None else drive.way.limits(drive)
             drive.controller = ReferenceEgo(
-                tested, BRAKERS[driver], drive.tracks(start=first), drive.ego, strong, log
+                tested, BRAKERS[driver], drive.tracks(start=first), drive.ego, strong, log, sight
             )  # fmt: skip
         try:
             self._attack(proposal, asks)

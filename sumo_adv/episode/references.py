@@ -27,6 +27,7 @@ from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.preventability import encounter_of
 from sumo_adv.metrics.reference import BRAKERS, Braker
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
+from sumo_adv.metrics.reference.sight import SightLimits
 from sumo_adv.metrics.reference.view import EgoPaths
 
 WARM_UP_S = 3.0
@@ -47,7 +48,7 @@ class ReferenceEgo:
 
     def __init__(
         self, tested: EgoController, driver: type[Braker], history: Sequence[Track], ego: str,
-        take_over: Callable[[], None], log: Track | None = None,
+        take_over: Callable[[], None], log: Track | None = None, sight: SightLimits | None = None,
     ) -> None:  # fmt: skip
         """Make the driver of one run.
 
@@ -58,6 +59,7 @@ class ReferenceEgo:
             ego: The ego's id.
             take_over: Called when the reference driver first brakes.
             log: The ego's motion if a log moves it. The ego follows its path and pace while the driver does not brake.
+            sight: How far the ego saw along its way up to the start; None without a limit.
         """
         self.name = driver.name
         self.wishes = wishes_of(tested)
@@ -65,7 +67,7 @@ class ReferenceEgo:
         self._driver, self._log = driver, log
         self._way = None if log is None else EgoPaths(row_of(log))
         self._take_over = take_over
-        self._ego, self._history = ego, {t.id: t for t in history}
+        self._ego, self._history, self._sight = ego, {t.id: t for t in history}, sight
         self._watcher: Watcher | None = None
         self._acting = False
 
@@ -78,7 +80,8 @@ class ReferenceEgo:
         if self._watcher is None:
             self._watcher = Watcher(self._driver, observation.dt)
             self._look_back(self._watcher, observation, half)
-        target = self._watcher.speed(observation.ego, observation.others, path_of(observation), half)
+        path, others = path_of(observation), observation.others
+        target = self._watcher.speed(observation.ego, others, path, half, observation.sight)
         if not self._acting and not math.isinf(target):
             self._acting = True
             self._take_over()
@@ -94,10 +97,11 @@ class ReferenceEgo:
         if ego is None:
             return
         path = path_of(observation, np.stack([ego.x, ego.y], axis=1))
+        reach = np.full(len(ego.time), math.inf) if self._sight is None else self._sight.along(ego)
         for k in range(len(ego.time) - 1):  # the last state is the present one, shown by ``act``
             me, states = _state(ego, k), (state_at(t, float(ego.time[k])) for t in self._history.values())
             others = [state for state in states if state is not None and same_layer(me.z, state.z)]
-            watcher.speed(me, others, path, half)
+            watcher.speed(me, others, path, half, float(reach[k]))
         self._history.clear()
 
 

@@ -18,6 +18,7 @@ from sumo_adv.episode.surroundings import Sight
 from sumo_adv.episode.unprotected import STANDING_SPEED_M_S, unprotected_ways
 from sumo_adv.geometry import PATH_STEP_M, Frame, Path, wrap
 from sumo_adv.metrics.case import closest, smoothed
+from sumo_adv.metrics.reference.sight import SightLimits
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, PathAhead, RoadMap
 from sumo_adv.simulation.permissions import CAR
@@ -132,6 +133,7 @@ class TriggerState:
         classes: SUMO's classes of the ego and of the ranked vehicles, by id.
         left: The number of steps until the log that is played back ends; inf without a log.
         follows_log: Whether a log moves background vehicles, so that they do not react to the adversary.
+        sight: How far the ego sees along its way; None without a limit.
     """
 
     ego: str
@@ -143,6 +145,7 @@ class TriggerState:
     classes: Mapping[str, str]
     left: float = math.inf
     follows_log: bool = False
+    sight: SightLimits | None = None
 
 
 def trigger_state(road: RoadMap, drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerState:
@@ -166,7 +169,7 @@ def trigger_state(road: RoadMap, drive: Drive, ranking: Sequence[RankedVehicle])
         {name: simulation.route(name)[0] for name in driving},
         {name: _signals(road, drive, name) for name in (drive.ego, *driving)},
         {name: drive.kind(name) for name in (drive.ego, *driving)},
-        math.inf if left is None else left, drive.follows_log(),
+        math.inf if left is None else left, drive.follows_log(), None if drive.way is None else drive.way.limits(drive),
     )  # fmt: skip
 
 
@@ -281,6 +284,7 @@ def build_situation(
     onward = way_ahead(road, ego, trigger.route, vclass)
     first, rule = (None, "") if onward is None else (onward.first, onward.rule)
     junction, bay = (math.inf, math.inf) if onward is None else (onward.junction, onward.bay)
+    reach = math.inf if trigger.sight is None else float(trigger.sight.later(tracks[ego_id], time).along(ego_track)[0])
     targets = {}
     for ranked in ranking:
         track = tracks.get(ranked.id)
@@ -289,7 +293,8 @@ def build_situation(
         kind = trigger.classes.get(ranked.id, CAR)  # SUMO takes a vehicle that comes later in a recording for a car
         target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()), kind)
         if target is not None:
-            targets[ranked.id] = replace(target, hidden=_is_hidden(target.state, ego, tracks, time))
+            unseen = _is_hidden(target.state, ego, tracks, time) or not _in_reach(target.state, ego, path, reach)
+            targets[ranked.id] = replace(target, hidden=unseen)
     if not targets:
         return None
     others = tuple(
@@ -454,6 +459,12 @@ def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track],
     """Return whether other boxes, standing or moving, hide a road user from the ego at a time [s]."""
     there = (state_at(t, time) for name, t in tracks.items() if name not in (bv.id, ego.id) and len(t.time))
     return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)], ego.z)[0]
+
+
+def _in_reach(bv: VehicleState, ego: VehicleState, path: Path, reach: float) -> bool:
+    """Return whether a road user is within the ego's limit of sight along its path [m]."""
+    stations = (path.project(each.x, each.y)[0] for each in (bv, ego))
+    return next(stations) - bv.length / 2 - next(stations) <= reach
 
 
 def _along(ways: Sequence[PathAhead], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:

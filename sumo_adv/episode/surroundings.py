@@ -26,6 +26,7 @@ from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.road_here import RoadHere
 from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import PATH_STEP_M, crosses_box, same_layer, wrap
+from sumo_adv.metrics.reference.sight import in_reach, path_through
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.sumo_states import heading_of
 from sumo_adv.simulation.tracks import acceleration
@@ -151,9 +152,9 @@ class Surroundings:
         """
         drive = self._drive
         place = drive.place(self._map)  # needed even if it is not read, because it may restore the ego's route
-        senses = SensesNow(drive, ego, near, self._sight)
-        road = self._road(ego, place)
         path = partial(self._path, ego, place)
+        senses = SensesNow(drive, ego, near, self._sight, path)
+        road = self._road(ego, place)
         return ObservationNow.made(drive, ego, place, senses, road, path, visible_only=self._wishes.visible_only)
 
 
@@ -189,7 +190,9 @@ class ObservationNow(Observation):
         Returns:
             The observation.
         """
-        seen = cls(drive.now, drive.recording.step_length, ego, (), road=road)
+        way = drive.way
+        demands = (None, None, math.inf) if way is None else (way.wanted_lane, way.wanted_speed, way.sight)
+        seen = cls(drive.now, drive.recording.step_length, ego, (), None, None, None, road, *demands)
         vars(seen).clear()  # the constructor has set parts that are worked out later
         vars(seen).update(_place=place, _senses=senses, _find_path=find_path, _visible_only=visible_only)
         return seen
@@ -305,16 +308,21 @@ class SensesNow:
         SimulationError: It is asked after the step is over.
     """
 
-    def __init__(self, drive: Drive, ego: VehicleState, near: Sequence[str], sight: Sight) -> None:
+    def __init__(
+        self, drive: Drive, ego: VehicleState, near: Sequence[str], sight: Sight,
+        find_path: Callable[[], Points | None],
+    ) -> None:  # fmt: skip
         """Take the states of this step.
 
         Args:
             drive: The simulation.
             ego: The state of the ego.
             near: The ids of the vehicles near the ego.
-            sight: Tells what can be seen.
+            sight: Tells what can be seen past buildings and boxes.
+            find_path: Returns the ego's path.
         """
         self._drive, self._ego, self._near, self._sight, self._time = drive, ego, near, sight, drive.now
+        self._find_path, self._limit = find_path, math.inf if drive.way is None else drive.way.sight
         self._snapshot, self._before = drive.snapshot, drive.recording.before
 
     @cached_property
@@ -353,7 +361,9 @@ class SensesNow:
     def _seen(self) -> Bools:
         if not self._near:
             return np.zeros(0, bool)
-        return self._sight.visible((self._ego.x, self._ego.y), self.vehicles, self._ego.z)
+        seen = self._sight.visible((self._ego.x, self._ego.y), self.vehicles, self._ego.z)
+        points = None if math.isinf(self._limit) else self._find_path()
+        return seen if points is None else seen & in_reach(path_through(points), self._ego, self.vehicles, self._limit)
 
     @engine_work
     def _lamps(self, vehicle: str) -> int:

@@ -12,9 +12,11 @@ from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Ending, RoadPlace, Role, Track, Verdict
 from sumo_adv.drivers.protocol import DriverInside
 from sumo_adv.drivers.registry import GivenEgo
+from sumo_adv.ego_way import EgoMove, SightStretch
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import EgoActions
 from sumo_adv.errors import UsageError
+from sumo_adv.metrics.reference.sight import SightLimits
 from sumo_adv.simulation.demand import generate_demand
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import Drivable
@@ -53,6 +55,8 @@ class Task:
             ``settings.delays``.
         colliders: The ids of the vehicles that may be the collider; empty means all.
         copies: The user's file by the copy that SUMO reads instead.
+        moves: The ego's own moves.
+        sight: The stretches of the ego's way from which it sees less far.
     """
 
     spec: SimulationSpec
@@ -72,6 +76,8 @@ class Task:
     delay: float | None = None
     colliders: tuple[str, ...] = ()
     copies: Mapping[str, str] = field(default_factory=dict)
+    moves: tuple[EgoMove, ...] = ()
+    sight: tuple[SightStretch, ...] = ()
 
     def own_names(self, warnings: Sequence[str]) -> tuple[str, ...]:
         """Replace the names of copies in SUMO's warnings by those of the user's files.
@@ -113,6 +119,7 @@ class FoundEncounter:
         driven_from: The time at which the ego's driver took over [s]; None if a client of ``serve`` drives the ego.
         driven_before: The vehicles that the driver drove before the ego: id, takeover [s] and release [s].
         beside: The recorded vehicles on which SUMO crashes. They are played back as boxes beside SUMO.
+        sight: How far the ego sees along its way; None without a limit.
     """
 
     ego: str
@@ -129,6 +136,7 @@ class FoundEncounter:
     driven_from: float | None = None
     driven_before: Sequence[tuple[str, float, float]] = ()
     beside: tuple[str, ...] = ()
+    sight: SightLimits | None = None
 
     @property
     def first(self) -> Situation:
@@ -251,6 +259,8 @@ def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
             "avoids the collision; use --until valid."
         )
     refuse_density(run_input, settings.density)
+    if settings.ego_id is not None and settings.ego_id != run_input.ego and (run_input.moves or run_input.sight):
+        raise UsageError(f"The moves and sight of {run_input.path} are those of its own ego: leave --ego-id out.")
     routes = run_input.routes
     playback = with_background(run_input.playback, settings.background, replayed=settings.ego == "replay")
     begin = settings.begin if settings.begin is not None else run_input.begin
@@ -295,7 +305,7 @@ def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
         {**own, **settings.ego_parameters},
         _adversaries(colliders, run_input.supports, settings.adversaries),
         None if trigger == "auto" else float(trigger), run_input.warm_up, end, playback,
-        colliders=colliders, copies=copies,
+        colliders=colliders, copies=copies, moves=run_input.moves, sight=run_input.sight,
     )  # fmt: skip
 
 

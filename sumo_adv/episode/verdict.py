@@ -10,6 +10,7 @@ from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.reference.sight import SightLimits
 from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.simulation.tracks import tracks_of
 
@@ -69,7 +70,23 @@ def recorded_case(
     return make_case(
         tracks, found.ego, bvs, start, beyond, logged=settings.limits.limits() if follows_log else None,
         on_road=found.drivable, lane_half_width=found.half_lane(start), unattacked=unattacked(found, settings),
+        sight=sight_from(found, settings, start),
     )  # fmt: skip
+
+
+def sight_from(found: FoundEncounter, settings: Settings, start: float) -> SightLimits | None:
+    """Return how far the ego sees along its way, from its place at the start of an attack.
+
+    Args:
+        found: The encounter.
+        settings: The settings of the run.
+        start: When the attack begins [s].
+
+    Returns:
+        The limits; None if there are none.
+    """
+    calm = None if found.sight is None else unattacked(found, settings)
+    return found.sight if found.sight is None or calm is None else found.sight.later(calm, start)
 
 
 def own_reference(drive: Drive) -> str | None:

@@ -319,6 +319,7 @@ class EpisodeWorker(EpisodeCalls):
         found = replace(
             encounter, driven_from=drive.driven_from, driven_before=drive.driven_before,
             last=self._search.nearly_over(), beside=() if drive.playback is None else drive.playback.beside,
+            sight=None if drive.way is None else drive.way.limits(drive),
         )  # fmt: skip
         self._encounter = OpenEncounter(
             drive, found, self._settings, self._road, self._trigger_step, baseline.tracks[found.ego]

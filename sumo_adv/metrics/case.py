@@ -19,6 +19,7 @@ from sumo_adv.datatypes import Limits, Track
 from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import height_as
 from sumo_adv.metrics.gates import CLOCK_SLACK_S, GATES, kinematic_gates
+from sumo_adv.metrics.reference.sight import SightLimits
 
 SMOOTHED_S = 0.5  # before the take-over; the shortest manoeuvre in a log, a tap on the brake, lasts longer
 FEWEST_SMOOTHED_STATES = 4  # a line through fewer states does not show their noise
@@ -90,6 +91,7 @@ class Case:
         on_road: Returns which points are drivable; None if all are.
         lane_half_width: Half the width of the ego's lane [m].
         unattacked: The ego's motion without the attack, if known.
+        sight: How far the ego sees along its way; None without a limit.
     """
 
     ego: Track
@@ -101,6 +103,7 @@ class Case:
     on_road: OnRoad | None = None
     lane_half_width: float = 1.6
     unattacked: Track | None = None
+    sight: SightLimits | None = None
 
     @property
     def begin(self) -> float:
@@ -111,7 +114,7 @@ class Case:
 def make_case(
     tracks: Sequence[Track], ego: str, adversaries: Sequence[str], start: float, beyond: Mapping[str, Track], *,
     logged: Limits | None = None, on_road: OnRoad | None = None, lane_half_width: float = 1.6,
-    unattacked: Track | None = None,
+    unattacked: Track | None = None, sight: SightLimits | None = None,
 ) -> Case | None:  # fmt: skip
     """Make the case of one attempt.
 
@@ -126,6 +129,7 @@ def make_case(
         on_road: Returns which points are drivable.
         lane_half_width: Half the width of the ego's lane [m].
         unattacked: The ego's motion without the attack, if known.
+        sight: How far the ego sees along its way; None without a limit.
 
     Returns:
         The case; None if the ego or the collider has no state after ``start``.
@@ -148,7 +152,7 @@ def make_case(
     adversary_track, *helpers = (joined(t, beyond[t.id]) if t.id in beyond else t for t in driven)
     return Case(
         ego_track, adversary_track, (*others, *helpers), start, breaches, tuple(helpers), on_road, lane_half_width,
-        unattacked,
+        unattacked, sight,
     )  # fmt: skip
 
 

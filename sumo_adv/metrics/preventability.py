@@ -73,7 +73,7 @@ def encounter_of(case: Case, moment: float) -> Encounters:
     onward = None if case.unattacked is None else onward_of(ego_until, case.unattacked)[None]
     return Encounters(
         row_of(ego_until), row_of(foe), np.array([start]), np.array([len(ego_until.time) - 1]), dt, third,
-        case.lane_half_width, onward,
+        case.lane_half_width, onward, sight=None if case.sight is None else case.sight.along(ego_until)[None],
     )  # fmt: skip
 
 

@@ -221,6 +221,10 @@ def _scenario(recorded: RecordedRun, outcome: Mapping[str, Any], suite: Path) ->
     ]  # fmt: skip
     if played is not None and played.signals is not None:
         lines += ["", "[signals]", *toml_lines({"log": files[played.signals]})]
+    for move in task.moves:  # the trigger says when the encounter begins
+        lines += ["", "[[moves]]", *toml_lines(move.model_dump(exclude_defaults=True, exclude={"attacked"}))]
+    for stretch in task.sight:
+        lines += ["", "[[sight]]", *toml_lines(stretch.model_dump(by_alias=True))]
     for prop in played.props if played is not None else ():
         lines += ["", f"[[{PROPS[prop.id.rstrip('0123456789')]}]]", *toml_lines(_box(prop))]
     return "\n".join(lines) + "\n"

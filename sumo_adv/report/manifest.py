@@ -12,6 +12,7 @@ from typing import Any
 from sumo_adv.asked import Asked
 from sumo_adv.config import MAX_ATTACK_DELAY_S, Settings, load_settings
 from sumo_adv.datatypes import Duty, Proposal, acceleration_of
+from sumo_adv.ego_way import EgoMove, SightStretch
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links
@@ -93,6 +94,8 @@ def _recorded(folder: Path, m: dict[str, Any]) -> RecordedRun:
         m["warm_up"], m["end"], _playback(folder, m.get("playback"), spec.routes),
         driven_from=m.get("driven_from"), delay=m.get("delay"),
         driven_before=[(name, begin, end) for name, begin, end in m.get("driven_before", ())],
+        moves=tuple(EgoMove.model_validate(move) for move in m.get("moves", ())),
+        sight=tuple(SightStretch.model_validate(stretch) for stretch in m.get("sight", ())),
     )  # fmt: skip
     proposal = _proposal(folder, m["attempt"], m["planners"])
     asked, made = m.get("asked"), m.get("conversion")

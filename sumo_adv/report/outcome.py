@@ -331,6 +331,8 @@ def manifest(run: Run, record: EncounterRecord | None, inputs: Mapping[Path, str
         "seed": spec.seed, "step_length": spec.step_length, "sumo_options": spec.all_options,
         "empty_steps": spec.empty_steps,
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
+        "moves": [move.model_dump(exclude_defaults=True) for move in task.moves],
+        "sight": [stretch.model_dump(by_alias=True) for stretch in task.sight],
         "playback": _playback(task.playback, inputs), "conversion": None if made is None else {
             "map": made.path.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
             "warnings": [asdict(kind) for kind in made.warnings],

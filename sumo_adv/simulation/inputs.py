@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from sumo_adv.asked import Asked
 from sumo_adv.ego_sensing import EgoSensing
+from sumo_adv.ego_way import EgoMove, SightStretch
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.script import Script
 from sumo_adv.simulation.maps import MAPS, MapConversion, convert_map, is_map
@@ -100,6 +101,8 @@ class RunInput:
         words: The description that the scenario was made from.
         conversion: How a map was converted that is no SUMO network.
         waymo: The Waymo record that was converted.
+        moves: The ego's own moves.
+        sight: The stretches of the ego's way from which it sees less far.
     """
 
     name: str
@@ -134,6 +137,8 @@ class RunInput:
     words: str = ""
     conversion: MapConversion | None = None
     waymo: WaymoSource | None = None
+    moves: tuple[EgoMove, ...] = ()
+    sight: tuple[SightStretch, ...] = ()
 
     def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
         """Return the settings that the input implies.
@@ -322,6 +327,7 @@ def _from_scenario(path: Path) -> RunInput:
         intents=scenario.adversary.intents, scripts=scenario.scripts, label=scenario.label,
         files=(path, network, *routes, *additional, *_named(scans), *(playback.files if playback else ())),
         playback=playback, asked=scenario.asked, words=scenario.written.words if scenario.written else "",
+        moves=scenario.moves, sight=scenario.sight,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from sumo_adv.asked import Asked, RequestOrigin
 from sumo_adv.datatypes import MAX_ADVERSARIES, Relation
 from sumo_adv.ego_sensing import EgoSensing
+from sumo_adv.ego_way import EgoMove, SightStretch
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import dotted, first_fault, read_toml
 from sumo_adv.script import Script
@@ -29,6 +30,7 @@ DEFAULT_WARM_UP_S = 3.0  # counted from the ego's insertion
 # Maximum length of a file's name and path; systems refuse to look for longer ones.
 MAX_FILE_NAME_CHARACTERS = 200
 MAX_PATH_CHARACTERS = 2000
+MAX_MOVES = 20  # of the ego, and stretches of sight
 
 
 def _from_scenario_folder(path: Path, info: ValidationInfo) -> Path:
@@ -167,8 +169,21 @@ class Scenario(_Table):
     pedestrians: tuple[ObstacleBox, ...] = ()
     cyclists: tuple[ObstacleBox, ...] = ()
     scripts: tuple[Script, ...] = ()
+    moves: Annotated[tuple[EgoMove, ...], Field(max_length=MAX_MOVES)] = ()
+    sight: Annotated[tuple[SightStretch, ...], Field(max_length=MAX_MOVES)] = ()
     written: RequestOrigin | None = None
     asked: Asked | None = None
+
+    @model_validator(mode="after")
+    def _of_an_ego(self) -> Self:
+        given = "moves" if self.moves else "sight" if self.sight else ""
+        if given and self.ego.id is None and not self.ego.route:
+            raise ValueError(f"{given} needs an ego with an id or a route")
+        if given and self.tracks is not None:
+            raise ValueError(f"{given} needs traffic that SUMO drives, not tracks")
+        if sum(move.attacked for move in self.moves) > 1:
+            raise ValueError("only one of the moves can be attacked")
+        return self
 
 
 def load_scenario(path: Path) -> Scenario:
@@ -207,8 +222,7 @@ def _known_keys(location: tuple[int | str, ...]) -> str:
     tables: dict[str, type[BaseModel]] = {
         "demand": Demand, "ego": Ego, "window": AttackWindow, "adversary": Adversary, "signals": Signals,
         "label": Label, "parked": ObstacleBox, "pedestrians": ObstacleBox, "cyclists": ObstacleBox,
-        "scripts": Script,
-        "written": RequestOrigin, "asked": Asked,
+        "scripts": Script, "written": RequestOrigin, "asked": Asked, "moves": EgoMove, "sight": SightStretch,
     }  # fmt: skip
     table = tables.get(str(location[0]), Scenario) if len(location) > 1 else Scenario
     names = [info.alias or name for name, info in table.model_fields.items()]

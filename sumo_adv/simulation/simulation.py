@@ -23,6 +23,7 @@ S = TypeVar("S", bound=VehicleState)
 FASTEST_PERSON_M_S = 10.5  # the highest speed of a person in SUMO
 PERSON_JUMP_M = 1.0  # farther than it can walk in a step: it has jumped
 LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # kept as the demand sets them
+ROUTE_ONLY_LANE_CHANGES = 1537  # SUMO's bits: strategic ones, with safe gaps also for those that are asked for
 INVALID_M = -1e9  # SUMO gives about -2**30 as the coordinates of a vehicle that is not on the network
 
 
@@ -434,6 +435,18 @@ class Simulation:
     def change_lane(self, vehicle: str, lane: int) -> None:
         """Ask SUMO's driver to change to the lane with this index within 3 s."""
         self.api.vehicle.changeLane(vehicle, lane, 3.0)
+
+    def hold_lane(self, vehicle: str) -> None:
+        """Have a vehicle change lanes only where it is asked to, and where its route needs it."""
+        self.api.vehicle.setLaneChangeMode(vehicle, ROUTE_ONLY_LANE_CHANGES)
+
+    def cap_speed(self, vehicle: str, speed: float | None) -> None:
+        """Have a vehicle drive at most this fast [m/s], with its own ``decel``; None ends that."""
+        self.api.vehicle.setSpeed(vehicle, -1.0 if speed is None else speed)
+
+    def set_top_speed(self, vehicle: str, speed: float) -> None:
+        """Make a vehicle's driver aim for this speed [m/s] where the limit allows it."""
+        self.api.vehicle.setMaxSpeed(vehicle, speed)
 
     def set_speed_factor(self, vehicle: str, factor: float) -> None:
         """Make a vehicle's driver aim for this share of the speed limit."""

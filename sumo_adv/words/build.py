@@ -18,6 +18,7 @@ from sumo_adv.asked import RequestOrigin
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines, toml_text, toml_value
 from sumo_adv.words.draft import EgoDraft, LightsPhase, SceneDraft, VehicleDraft
+from sumo_adv.words.ego_way import come_after, time_to, way_tables
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
 from sumo_adv.words.scripts import check_script, script_tables
 
@@ -81,6 +82,7 @@ def build_scenario(scene: SceneDraft, target: Path, written: RequestOrigin, give
     drives = {v.id: net.drive(v.route, v.lane, _vclass(v.type), f"'{v.id}'") for v in scene.vehicles}
     start = _ego_start(scene, ego_drive, drives)
     _check_speed(scene.ego.speed, ego_drive, "The ego")
+    tables = way_tables(scene.ego)
     placed = [_place(v, drives[v.id], scene.ego, ego_drive, start) for v in scene.vehicles]
     _check_room(placed, scene.ego, ego_drive, start)
     _check_script(scene, drives, net)
@@ -92,7 +94,7 @@ def build_scenario(scene: SceneDraft, target: Path, written: RequestOrigin, give
         stem.with_suffix(".add.xml").write_text(text, encoding="utf-8")
     elif scene.road.lights:
         raise UsageError("The road has phases of lights and no traffic lights: give a crossing control = signals.")
-    text = _scenario(scene, stem.name, network, written, ego_drive, start, placed, lights=bool(states[0]))
+    text = _scenario(scene, stem.name, network, written, ego_drive, start, placed, tables, lights=bool(states[0]))
     target.write_text(text, encoding="utf-8")
     return target
 
@@ -128,13 +130,13 @@ def _ego_start(scene: SceneDraft, ego: VehicleRoute, drives: dict[str, VehicleRo
         if scene.ego.position > ego.first:
             raise UsageError(f"The ego's position is beyond its first edge, which is {ego.first:.0f} m long.")
         return max(scene.ego.position, length + 0.5)
-    speed = scene.ego.speed / 3.6
     order = sorted(scene.vehicles, key=lambda v: v.id != scene.attack.adversary)
     for vehicle in order:
         met = meeting(ego, drives[vehicle.id]) if vehicle.arrives is not None or vehicle.stands else None
         if met is not None:
-            start = max(met[0] - _seconds(vehicle, drives[vehicle.id], met[1]) * speed, length + 1.0)
-            if (met[0] - start) / speed < MIN_TIME_TO_MEETING_S:
+            before = come_after(scene.ego, _seconds(vehicle, drives[vehicle.id], met[1]))
+            start = max(met[0] - before, length + 1.0)
+            if time_to(scene.ego, met[0] - start) < MIN_TIME_TO_MEETING_S:
                 raise UsageError(
                     f"The ego's way to where it meets '{vehicle.id}' is {met[0]:.0f} m, which is less than "
                     f"{MIN_TIME_TO_MEETING_S:g} s at its speed: give a longer road, or a lower speed."
@@ -153,10 +155,9 @@ def _seconds(v: VehicleDraft, drive: VehicleRoute, station: float) -> float:
 
 def _place(v: VehicleDraft, drive: VehicleRoute, ego: EgoDraft, ego_drive: VehicleRoute, start: float) -> Placed:
     """Place a vehicle by its gap, by its arrival, or at the end of its first edge if it stands."""
-    speed = ego.speed / 3.6
     _check_speed(v.speed, drive, f"'{v.id}'")
     met = meeting(ego_drive, drive)
-    meets = None if met is None else (met[0] - start) / speed
+    meets = None if met is None else time_to(ego, met[0] - start)
     if v.gap is not None:
         if drive.edges[0] != ego_drive.edges[0]:
             raise UsageError(
@@ -172,7 +173,7 @@ def _place(v: VehicleDraft, drive: VehicleRoute, ego: EgoDraft, ego_drive: Vehic
         raise UsageError(f"'{v.id}' begins on the ego's edge, so it needs a gap, not arrives.")
     if met is None or meets is None:
         meets = MEETING_TIME_S
-        x, y, _ = ego_drive.at(start + meets * speed)
+        x, y, _ = ego_drive.at(start + come_after(ego, meets))
         station = drive.nearest(x, y)
     else:
         station = met[1]
@@ -269,13 +270,13 @@ def _signals(phases: Sequence[LightsPhase], states: Sequence[Mapping[str, str]],
 
 def _scenario(
     scene: SceneDraft, stem: str, network: Path, written: RequestOrigin, ego: VehicleRoute, start: float,
-    placed: list[Placed], *, lights: bool,
+    placed: list[Placed], way: Sequence[str], *, lights: bool,
 ) -> str:  # fmt: skip
     """Return the text of the scenario."""
-    attack, speed = scene.attack, scene.ego.speed / 3.6
+    attack = scene.attack
     walkers, tables = _boxes(scene, ego, start)
     adversary = walkers.get(attack.adversary, attack.adversary)
-    meets = {p.draft.id: p.meets for p in placed} | {w.id: w.at / speed for w in scene.walkers}
+    meets = {p.draft.id: p.meets for p in placed} | {w.id: time_to(scene.ego, w.at) for w in scene.walkers}
     met = meets.get(attack.adversary)
     trigger = FREE_TRIGGER_TIME_S if met is None else max(round(met - TRIGGER_BEFORE_MEETING_S, 1), MIN_TRIGGER_TIME_S)
     name = scene.road.name if scene.road.kind == "shipped" else network.name
@@ -290,7 +291,7 @@ def _scenario(
         f"supports = {toml_value(attack.supports)}\n" if attack.supports else "",
         f"intents = {toml_value(attack.labels)}\n" if attack.labels else "",
         f"\n[signals]\nfiles = [{toml_text(f'{stem}.add.xml')}]\n" if lights else "",
-        *tables,
+        *tables, *way,
         "" if attack.script is None else script_tables(attack.script),
         _table("written", {"words": written.words, "model": written.model, "date": written.date}),
         _table("asked", attack.asked.model_dump(mode="json", exclude_defaults=True)),

@@ -52,6 +52,26 @@ class RoadDraft(_Part):
     lights_offset: float = Field(default=0, ge=-120, le=120)
 
 
+class MoveDraft(_Part):
+    """A move of the EGO itself. at: m along its way from its front at the start; none for a turn, which is the first
+    one of its route. seconds: of a stop. speed: from there on. attacked: the attack belongs to this move; one at most.
+    """
+
+    does: Literal["change_left", "change_right", "stop", "speed", "turn_left", "turn_right"]
+    at: float | None = Field(default=None, ge=0, le=1500)
+    seconds: float | None = Field(default=None, ge=0.5, le=30)
+    speed: Annotated[float, Field(ge=5, le=160)] | None = None
+    attacked: bool = False
+
+
+class CrestDraft(_Part):
+    """A stretch of the EGO's way, begin to end in m from its front at the start, from which it sees only so far."""
+
+    begin: float = Field(ge=0, le=1500)
+    end: float = Field(gt=0, le=1500)
+    limit: float = Field(ge=10, le=120)
+
+
 class EgoDraft(_Part):
     """The vehicle under test. route: first and last edge. lane: 0 is the rightmost one for it. position: m of its front
     on the first edge; leave it out where it is to meet somebody."""
@@ -61,6 +81,8 @@ class EgoDraft(_Part):
     lane: int = Field(default=0, ge=0, le=5)
     speed: Annotated[float, Field(ge=5, le=160)]
     position: float | None = Field(default=None, ge=5, le=3000)
+    moves: list[MoveDraft] = Field(default_factory=list, max_length=4)
+    crests: list[CrestDraft] = Field(default_factory=list, max_length=2)
 
 
 class VehicleDraft(_Part):

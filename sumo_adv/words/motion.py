@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from sumo_adv.asked import Event
 from sumo_adv.datatypes import Bools, Boxes, Floats, Track
 from sumo_adv.geometry import Path, wrap
 from sumo_adv.metrics.boxes import height_as, on_grid, row_of
+from sumo_adv.metrics.reference.sight import SightLimits
 from sumo_adv.metrics.reference.view import hidden
 from sumo_adv.road_users import RoadUser, road_user
 
@@ -33,6 +35,7 @@ MAX_BESIDE_OFFSET_M = 4.5  # maximum offset of a vehicle beside the ego
 AFTER_APPROACH_S = 3.0  # how long after the nearest approach events count if nothing is hit
 MAX_DESCRIBED_OTHERS = 4  # maximum number of other vehicles in the description, nearest first
 DESCRIPTION_STEP_S = 1.0  # between the lines of the description
+LANE_CHANGE_STATES = 5  # before and after the ego is over a line; they show to which side it moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,7 @@ class Scene:
         side: The side of the ego that is hit, where the tracks end; None without a contact.
         start: The start of the attack [s].
         light: When the adversary passes its stop line on red or yellow [s], and that event; None if it does not.
+        sight: How far the ego sees along its way; None without a limit.
     """
 
     ego: Track
@@ -60,6 +64,7 @@ class Scene:
     side: str | None
     start: float
     light: tuple[float, Event] | None = None
+    sight: SightLimits | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +208,8 @@ def _hidden(scene: Scene, course: Course) -> tuple[float, float] | None:
         height = height_as(boxes, lambda z: z[None])
         screens = Boxes(x, y, heading, speed, boxes.length[None], boxes.width[None], height)  # type: ignore[index]
         away = hidden(row_of(course.ego), row_of(course.adversary), screens)[0]
+    if scene.sight is not None:
+        away |= course.along.s - course.along.reach - course.ego_along.s > scene.sight.along(course.ego)
     in_way = min((time for time, event in course.events if event in INTO_THE_WAY), default=math.inf)
     begins = [k for k in np.flatnonzero(away).tolist() if (k == 0 or not away[k - 1]) and t[k] < in_way]
     for k in begins:
@@ -382,6 +389,7 @@ def _words(
     lines = [
         f"EGO is {ego.length:.1f} m long and {_route(scene, ego, a)}. A is a {user}, {bv.length:.1f} m long and "
         f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
+        *_lane_changes(ego, t),
         *([] if unseen is None else [_unseen(unseen)]),
         *_others(a, others),
     ]
@@ -399,6 +407,18 @@ def _words(
         )
     end = "They do not touch." if scene.side is None else f"They collide: EGO is hit at its {scene.side}."
     return "\n".join([*lines, end])
+
+
+def _lane_changes(ego: Track, t: Floats) -> list[str]:
+    """Say when the ego comes into another lane of its road."""
+    lines = []
+    for k, (before, after) in enumerate(pairwise(ego.lane), start=1):
+        if before != after and before.rpartition("_")[0] == after.rpartition("_")[0] and not after.startswith(":"):
+            a, b = max(k - LANE_CHANGE_STATES, 0), min(k + LANE_CHANGE_STATES, len(t) - 1)
+            dx, dy, heading = ego.x[b] - ego.x[a], ego.y[b] - ego.y[a], ego.heading[a]
+            side = "left" if dy * np.cos(heading) > dx * np.sin(heading) else "right"
+            lines.append(f"EGO changes to the lane on its {side}; it is over the line at {t[k]:.1f} s.")
+    return lines
 
 
 def _unseen(between: tuple[float, float]) -> str:

@@ -27,8 +27,11 @@ from sumo_adv.metrics.boxes import first_contact, height_as, pick, some_steps, t
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
+from sumo_adv.metrics.reference.sight import beyond
 from sumo_adv.metrics.reference.view import EgoPaths, Views, located_on, seen
 
+Located = tuple[Floats, Floats, Floats]
+"""Stations [m], offsets [m] and path headings [rad] on the egos' paths."""
 MakeDriver = Callable[[tuple[int, int], float], Braker]
 """Makes drivers for a shape (N, M) and a step [s]: a class of ``BRAKERS``, or one with other numbers."""
 MIN_AFTER_CONTACT_S = 4.0  # how long the check continues after the contact, at least
@@ -50,6 +53,7 @@ class Encounters:
         onward: Points of the egos' ways past the step ``last`` ``(N, P, 2)`` [m]; without them, the egos go straight
             on.
         until: The last step that is checked ``(N,)``; without it, all steps are.
+        sight: How far the recorded egos see along their ways ``(N, T)`` [m]; None = without limit.
     """
 
     ego: Boxes
@@ -61,6 +65,7 @@ class Encounters:
     lane_half_width: float = 1.6
     onward: Floats | None = None
     until: Ints | None = None
+    sight: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +123,19 @@ class Counterfactual:
     def views(self) -> Views:
         """What drivers see in each step."""
         visible = self._everybody(seen(self.ego, self.adversary, self.others))
-        located = located_on(self.paths, visible)
+        located = self._in_sight(located_on(self.paths, visible), visible)
         return Views(visible, located, self._ego_size(), self.given.dt, self.given.lane_half_width)
+
+    def _in_sight(self, located: Located, vehicles: Boxes) -> Located:
+        """Return the places of vehicles; NaN while the recorded ego cannot see so far along its way."""
+        limit = self.given.sight
+        if limit is None:
+            return located
+        limit = np.pad(limit, ((0, 0), (0, max(0, self.steps - limit.shape[1]))), mode="edge")[:, : self.steps]
+        sizes = np.asarray(vehicles.length, float), np.asarray(vehicles.width, float)
+        away = beyond(located, vehicles.heading, sizes, self.paths.station, limit)
+        station, left, heading = (np.where(away, np.nan, values) for values in located)
+        return station, left, heading
 
     def unchanged(self) -> DriverOutcome:
         """Return how the egos fare as they were."""
