@@ -20,8 +20,8 @@ from sumo_adv.asked import Asked, RequestOrigin
 from sumo_adv.config import LimitSettings, ModelSettings, Settings
 from sumo_adv.config_odd import Odd
 from sumo_adv.ego_sensing import EgoSensing
-from sumo_adv.script import Action, Condition, Script
 from sumo_adv.ego_way import EgoMove, SightStretch
+from sumo_adv.script import Action, Condition, Script
 from sumo_adv.simulation.scenario import Adversary, AttackWindow, Demand, Ego, Label, ObstacleBox, Scenario, Signals
 
 PAGE = ROOT / "docs" / "settings.md"

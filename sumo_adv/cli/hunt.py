@@ -212,8 +212,8 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     more = f" The table shows the first {MAX_FAILURES_SHOWN}." if len(failures) > MAX_FAILURES_SHOWN else ""
     near = f" and {len(touches)} near-touch{'es' * (len(touches) > 1)}" if touches else ""
     typer.echo(
-        f"{ends[found.ended]}: {len(failures)} distinct failure{'s' * (len(failures) != 1)}{near} in {found.episodes} episodes, "
-        f"{found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
+        f"{ends[found.ended]}: {len(failures)} distinct failure{'s' * (len(failures) != 1)}{near} in "
+        f"{found.episodes} episodes, {found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
     )
     typer.echo(f"Estimate of what is left: {found.left.words}.")
     if found.driver_time.calls:

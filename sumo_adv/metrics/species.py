@@ -65,7 +65,8 @@ class Discovery:
         chance = f"the next episode brings a new kind with a probability of {100 * self.chance:.0f} %"
         if not self.kinds:
             return chance
-        return f"{chance}; at least {self.least:.0f} kind{'s' * (round(self.least) != 1)} ({self.low:.0f} to {self.high:.0f})"
+        kinds = "kind" if round(self.least) == 1 else "kinds"
+        return f"{chance}; at least {self.least:.0f} {kinds} ({self.low:.0f} to {self.high:.0f})"
 
 
 def discovery(samples: Sequence[Collection[Hashable]]) -> Discovery:
