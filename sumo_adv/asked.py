@@ -95,6 +95,15 @@ class Asked(_Table):
         return {"ttc": NEAR_MISS_TTC_S, "until": "critical"} if self.level == "near_miss" else {"until": self.level}
 
 
+class Attacker(_Table):
+    """One of several vehicles that attack together. id: of the vehicle. intents: which it may try; empty allows all.
+    asked: what must be true of it."""
+
+    id: Annotated[str, Field(min_length=1)]
+    intents: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    asked: Asked = Asked()
+
+
 class RequestOrigin(_Table):
     """Where a scenario comes from: the words, the model that made a scenario of them, and the date (YYYY-MM-DD)."""
 

@@ -11,6 +11,7 @@ frozen, so code that changes a value returns a new one. Arrays inside a value ar
 from sumo_adv.datatypes.attack import (
     AS_FOUND,
     MAX_ADVERSARIES,
+    MAX_WAIT_S,
     Arrival,
     Attempt,
     Duty,
@@ -64,6 +65,7 @@ __all__ = [
     "FAILED_ENDINGS",
     "MAX_ADVERSARIES",
     "MAX_KNOTS",
+    "MAX_WAIT_S",
     "MPH_M_S",
     "Acceleration",
     "Arrival",

@@ -188,6 +188,10 @@ def _why_not(record: EncounterRecord, prepared: PreparedEncounter, settings: Set
         return "The analyzer sees nothing here that could be dangerous."
     if prepared.search:
         return ""
+    there = {name for situation in prepared.found.situations.values() for name in situation.targets}
+    gone = [each.id for each in prepared.attackers if each.id not in there]
+    if gone:
+        return f"{' and '.join(gone)} cannot attack here, and all attackers of the scene attack together."
     near = ", ".join(f"{name} ({relation})" for name, relation, _ in prepared.found.ranking)
     reason = "No intent of the library applies to any vehicle near"
     return f"{reason}: {near}." if near else f"{reason}."

@@ -231,7 +231,7 @@ class Refiner:
         """Return the candidates to try next: the favourites first, then few at a time, later whole generations."""
         left = self._settings.attempts - len(done.attempts)
         if not done.attempts and self._favourites:
-            return self._favourites[:left]
+            return [self._search.completed(p) for p in self._favourites[:left]]
         if isinstance(optimizer, AttackSearch):
             with done.clock.part("modifier"):
                 self._modify(optimizer, done)
@@ -245,7 +245,8 @@ class Refiner:
             left,
         )
         plans = optimizer.propose(budget)
-        return plans or (self._repairs.next(_tried(done)) if isinstance(optimizer, FixedOrder) else [])
+        plans = plans or (self._repairs.next(_tried(done)) if isinstance(optimizer, FixedOrder) else [])
+        return [self._search.completed(p) for p in plans]
 
     def _try(self, plans: Sequence[Proposal], done: Refinement, began: float, optimizer: Optimizer) -> bool:
         """Run candidates; return whether enough kinds succeeded or the time is used up, and drop the rest then."""

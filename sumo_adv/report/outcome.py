@@ -283,13 +283,14 @@ def _attempt(a: Attempt) -> dict[str, Any]:
 
 
 def _composed(p: Proposal) -> dict[str, Any]:
-    """Return the additional keys of an attempt with supports: the composition's label, and each support."""
+    """Return the additional keys of an attempt with supports: the composition's label, each support, and the waits."""
     if not p.supports:
         return {}
     supports: list[dict[str, Any]] = [
-        {**q.as_adversary(), "parameters": {k: number(v) for k, v in q.parameters.items()}} for q in p.supports
+        {**q.as_adversary(), "parameters": {k: number(v) for k, v in q.parameters.items()}, "wait": q.wait}
+        for q in p.supports
     ]
-    return {"composition": p.composition, "supports": supports}
+    return {"composition": p.composition, "supports": supports, "wait": p.wait}
 
 
 def _successes(record: EncounterRecord) -> list[dict[str, Any]]:
@@ -372,4 +373,6 @@ def _proposal(p: Proposal) -> dict[str, Any]:
     }  # fmt: skip
     if p.supports:
         written |= {"composition": p.composition, "supports": [_proposal(q) for q in p.supports]}
+    if p.wait > 0.0:
+        written["wait"] = p.wait
     return written if p.duty is Duty.COLLIDER else {**written, "role": str(p.duty)}

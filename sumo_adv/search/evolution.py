@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sumo_adv.datatypes import AS_FOUND, Duty, Level, Proposal, Verdict
+from sumo_adv.datatypes import AS_FOUND, MAX_WAIT_S, Duty, Level, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.search.sampling import (
     EMERGENCY_BRAKING_LABEL,
@@ -27,6 +27,7 @@ from sumo_adv.search.sampling import (
     Sampler,
     originals,
     varied,
+    varied_in_one,
 )
 from sumo_adv.search.settings import FULL_WARNING_S, MAX_COUNTED_DISTANCE_M, MAX_COUNTED_TTC_S, EvolutionSettings
 from sumo_adv.search.supports import Supports
@@ -118,8 +119,8 @@ class _Tries:
 
 
 def _place(p: Proposal) -> tuple[float, ...]:
-    """Return the parameters as shares of their ranges; start and braking as shares of ``START_SCALE_S`` and
-    ``BRAKING_SCALE_M_S2``.
+    """Return the parameters and the waits of attackers as shares of their ranges; start and braking as shares of
+    ``START_SCALE_S`` and ``BRAKING_SCALE_M_S2``.
     """
     numbers = [
         (p.parameters.get(q.name, q.default) - q.low) / (q.high - q.low)
@@ -128,7 +129,8 @@ def _place(p: Proposal) -> tuple[float, ...]:
         if q.high > q.low
     ]
     braking = p.acceleration if isinstance(p.acceleration, float) else 0.0
-    return (*numbers, p.delay / START_SCALE_S, braking / BRAKING_SCALE_M_S2)
+    waits = [each.wait / MAX_WAIT_S for each in p.supports if each.duty is Duty.ATTACK]
+    return (*numbers, p.delay / START_SCALE_S, braking / BRAKING_SCALE_M_S2, *waits)
 
 
 @dataclass(slots=True)
@@ -297,7 +299,8 @@ class Evolution:
         ordered = sorted(elites, key=lambda e: e.worth)[: settings.parents]
         weights = [settings.pressure**k for k in range(len(ordered))]
         parent = self._random.choices(ordered, weights)[0]
-        child = varied(parent.proposal, self._random, parent.step)
+        vary = varied if len(parent.proposal.attackers) == 1 else varied_in_one
+        child = vary(parent.proposal, self._random, parent.step)
         if self._random.random() < settings.other_start:
             child = self._begun_elsewhen(child)
         child = self._accompanied(child, parent.escape)

@@ -1,0 +1,174 @@
+"""Two and three adversaries that attack: drawn, delayed, varied, judged, compared with a request, and run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import pytest
+from attacker_samples import BOTH, both_sides, cut_ins
+from situation_samples import neighbour, situation
+from test_several import AHEAD, LEFT, RIGHT, SCENE, SHIFT, Saved, attack
+
+from sumo_adv.asked import Attacker
+from sumo_adv.config import load_settings
+from sumo_adv.datatypes import MAX_WAIT_S, Duty, Endpoint, Limits, Proposal
+from sumo_adv.episode.attempt import PlannedAdversary
+from sumo_adv.episode.task import make_task
+from sumo_adv.errors import UsageError
+from sumo_adv.planners.answers import Answer, PlannerObservation
+from sumo_adv.search.rollouts import predict
+from sumo_adv.search.sampling import varied, varied_in_one
+from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.settings import SearchSettings
+from sumo_adv.simulation.inputs import load_input
+
+TOGETHER = (Attacker(id="left"), Attacker(id="right", intents=("shift",)))
+
+
+def search(*attackers: Attacker, adversaries: int = 2) -> AttackSearch:
+    """A search that predicts nothing; ``left`` and ``right`` are beside the ego, ``ahead`` is its leader."""
+    made = AttackSearch(
+        Saved(), {0.0: SCENE}, [SHIFT], SearchSettings(share=400), seed=0, adversaries=adversaries, attackers=attackers,
+        predicts=False,
+    )  # fmt: skip
+    made.follow(made.ranking([SHIFT]), [SHIFT])
+    return made
+
+
+def proposed(made: AttackSearch, count: int) -> list[Proposal]:
+    return [made.completed(p) for p in made.propose(count)]
+
+
+# ---- a scene names its attackers
+
+
+def test_a_scene_brings_its_attackers_and_their_number(tmp_path: Path) -> None:
+    made = load_input(both_sides(tmp_path))
+    assert [each.id for each in made.attackers] == ["left", "right"]
+    assert made.candidates == ("left", "right") and made.intents == ("Aggressive Cut-in",)
+    assert made.settings()["adversaries"] == 2
+    task = make_task(made, load_settings(None, adversaries=2), tmp_path)
+    assert task.only == ("left", "right")
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (BOTH.replace('id = "right"', 'id = "left"'), "must all be different vehicles"),
+        (BOTH.replace('id = "right"', 'id = "nobody"'), "names the attacker 'nobody'"),
+        ('[adversary]\ncandidates = ["left"]\n' + BOTH, "either attackers, or candidates"),
+        ('[[attackers]]\nid = "left"\n', "a single one is the candidate"),
+        ('[adversary]\nsupports = ["ego", "other"]\n' + BOTH, "together are at most 3"),
+        (BOTH.replace("intents", "intentions", 1), "unknown key 'attackers.0.intentions'; known keys there are id"),
+    ],
+)
+def test_a_scene_with_wrong_attackers_is_one_sentence(tmp_path: Path, more: str, sentence: str) -> None:
+    with pytest.raises(UsageError, match=sentence) as raised:
+        load_input(both_sides(tmp_path, more))
+    assert "\n" not in str(raised.value)
+
+
+def test_all_attackers_of_a_scene_must_be_allowed(tmp_path: Path) -> None:
+    made = load_input(both_sides(tmp_path))
+    with pytest.raises(UsageError, match="2 vehicles attack together: give --adversaries 2 or more"):
+        make_task(made, load_settings(None, adversaries=1), tmp_path)
+    with pytest.raises(UsageError, match="leave out --adversary"):
+        make_task(made, load_settings(None, adversaries=2, adversary="left"), tmp_path)
+
+
+# ---- candidates
+
+
+def test_each_candidate_of_a_scene_has_all_of_its_attackers() -> None:
+    """Each is the collider of some candidates. The other one begins with it, or at most 3 s later."""
+    tried = proposed(search(*TOGETHER), 48)
+    assert {frozenset(p.bvs) for p in tried} == {frozenset({"left", "right"})}
+    assert {p.bv for p in tried} == {"left", "right"}
+    assert {p.supports[0].duty for p in tried} == {Duty.ATTACK}
+    waits = [p.supports[0].wait for p in tried]
+    assert 0.0 in waits and max(waits) <= MAX_WAIT_S and len(set(waits)) > 10
+    assert {p.composition for p in tried} == {"Shift + Shift"}
+
+
+def test_an_attacker_has_only_its_own_intents() -> None:
+    other = Attacker(id="right", intents=("Emergency Braking",))
+    assert proposed(search(TOGETHER[0], other), 8) == []  # no such intent in the library, so nothing is complete
+
+
+def test_a_candidate_of_any_scene_may_gain_another_attacker() -> None:
+    made = search()
+    given = proposed(made, 200)
+    attacks = [s for p in given for s in p.supports if s.duty is Duty.ATTACK]
+    assert {s.label for s in attacks} == {"Shift"} and {s.bv for s in attacks} == {"left", "right"}
+    assert any(s.duty is not Duty.ATTACK for p in given for s in p.supports)
+
+
+def test_a_variation_of_several_attackers_changes_one_of_them() -> None:
+    planner = SHIFT.planners[0]
+    both = replace(attack("left", planner=planner), parameters={"gap": 0.0}, supports=(
+        replace(attack("right", planner=planner), parameters={"gap": 1.0}, duty=Duty.ATTACK, wait=1.5),
+    ))  # fmt: skip
+    for seed in range(20):
+        made = varied_in_one(both, Random(seed), 0.1)
+        changed = [a.parameters != b.parameters for a, b in zip(made.members, both.members, strict=True)]
+        assert sorted(changed) == [False, True]
+        assert (made.supports[0].wait != 1.5) == changed[1]
+    assert 0.0 <= varied(both, Random(0), 9.0).supports[0].wait <= MAX_WAIT_S
+    alone = attack("left", planner=planner)
+    assert varied(alone, Random(0), 9.0).wait == 0.0
+
+
+# ---- waiting
+
+
+def test_an_attacker_that_waits_goes_straight_on_until_its_own_start() -> None:
+    """12 m/s along y = 3.2 from x = 20; it is asked 1 s after the start, at x = 32, and its own time is then 0."""
+    times: list[tuple[float, float]] = []
+
+    def ask(observation: PlannerObservation) -> Answer:
+        bv, _ = observation
+        times.append((bv["time"], bv["x"]))
+        return Answer(Endpoint(bv["x"] + 24.0, 0.0, 0.0, 12.0, 2.0))
+
+    waits = PlannedAdversary(situation([neighbour()]), "bv", Limits(), ask, 1.0)
+    places = []
+    for k in range(20):
+        if k % 5 == 0:
+            assert waits.replan(0.1 * k, (k * 1.0, 0.0, 10.0, 0.0)) is None
+        places.append(waits.advance())
+    assert [(t, x) for t, x in times] == [pytest.approx((0.0, 32.0)), pytest.approx((0.5, 38.0), abs=0.05)]
+    assert [places[k].y for k in (0, 9)] == pytest.approx([3.2, 3.2])
+    assert places[19].y < 3.0
+
+
+def test_a_prediction_waits_as_an_attempt_does() -> None:
+    """At 10 m/s, the second attacker is asked after 1 s at x = 10; the first one at once."""
+    asked: dict[int, list[tuple[float, float]]] = {0: [], 1: []}
+
+    def on(rows: list[int], observations: list[PlannerObservation]) -> list[Answer | None]:
+        for k in rows:
+            asked[k].append((observations[k][0]["time"], observations[k][0]["x"]))
+        ends = [Answer(Endpoint(o[0]["x"] + 20.0, o[0]["y"], 0.0, 10.0, 2.0)) if o[0] else None for o in observations]
+        return [ends[k] if k in rows else None for k in range(len(observations))]
+
+    second = replace(attack("right"), duty=Duty.ATTACK, wait=1.0)
+    both = replace(attack("left"), supports=(second,))
+    rollouts = predict({0.0: SCENE}, [both], on, limits=Limits(), steps=21, replan=5)  # type: ignore[arg-type]
+    assert [t for t, _ in asked[0]] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0])
+    assert [t for t, _ in asked[1]] == pytest.approx([0.0, 0.5, 1.0])
+    assert asked[1][0][1] == pytest.approx(10.0)
+    assert rollouts.supports[0][1][0] == pytest.approx(-3.2 * (rollouts.time + 1.0) ** 0)
+
+
+def test_the_collider_can_be_another_one_of_the_attackers() -> None:
+    both = cut_ins("left", "right", wait=1.0)
+    other = both.led_by("right")
+    assert other.bvs == ("right", "left") and other.attackers == ("right", "left")
+    assert (other.wait, other.supports[0].wait) == (1.0, 0.0)
+    assert [p.duty for p in other.members] == [Duty.COLLIDER, Duty.ATTACK]
+    assert other.composition == "Double Cut-in" and other.led_by("left") == both
+    assert both.led_by("left") is both
+    assert both.without("right").members == (both.without("right"),)
+    assert {t.state.id for t in (LEFT, RIGHT, AHEAD)} == {"left", "right", "ahead"}
