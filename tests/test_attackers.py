@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from random import Random
 
+import numpy as np
 import pytest
 from attacker_samples import BOTH, both_sides, cut_ins
+from cli_samples import Program
+from metrics_tracks import cruise, drift
+from page_samples import Visit, chromium
 from situation_samples import neighbour, situation
-from test_several import AHEAD, LEFT, RIGHT, SCENE, SHIFT, Saved, attack
+from test_several import AHEAD, LEFT, MISS, RIGHT, SCENE, SHIFT, Saved, attack
 
+import sumo_adv.app as app
 from sumo_adv.asked import Attacker
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import MAX_WAIT_S, Duty, Endpoint, Limits, Proposal
-from sumo_adv.episode.attempt import PlannedAdversary
-from sumo_adv.episode.task import make_task
+from sumo_adv.datatypes import (
+    MAX_WAIT_S,
+    AttackerResult,
+    AttackerRole,
+    Attempt,
+    Duty,
+    Endpoint,
+    Limits,
+    Proposal,
+    Verdict,
+)
+from sumo_adv.episode.attempt import Driven, PlannedAdversary
+from sumo_adv.episode.refinement import Refinement, settle_roles
+from sumo_adv.episode.task import AttemptResult, make_task
 from sumo_adv.errors import UsageError
+from sumo_adv.metrics.case import Case
+from sumo_adv.metrics.verdict import attackers_of, judge_attempt
 from sumo_adv.planners.answers import Answer, PlannerObservation
+from sumo_adv.report.manifest import read_manifest
+from sumo_adv.report.page import make_page
 from sumo_adv.search.rollouts import predict
 from sumo_adv.search.sampling import varied, varied_in_one
 from sumo_adv.search.search import AttackSearch
@@ -172,3 +194,146 @@ def test_the_collider_can_be_another_one_of_the_attackers() -> None:
     assert both.led_by("left") is both
     assert both.without("right").members == (both.without("right"),)
     assert {t.state.id for t in (LEFT, RIGHT, AHEAD)} == {"left", "right", "ahead"}
+
+
+# ---- the verdict
+
+
+EGO = cruise("ego", 0, 0, 15)
+NEAR, FAR = cruise("near", 40, 0, 5), cruise("far", 55, 0, 5)  # the ego reaches them after 3.5 s and 5 s
+
+
+def judged(until: float) -> dict[str, Verdict]:
+    """The verdict on each of two attackers, with the other one among the other vehicles, of a recording up to then."""
+    ego, near, far = (t.between(0.0, until) for t in (EGO, NEAR, FAR))
+    pairs = {"near": (near, far), "far": (far, near)}
+    return {
+        name: judge_attempt(Case(ego, one, (other,), 1.0, supports=(other,))) for name, (one, other) in pairs.items()
+    }
+
+
+def test_the_attacker_that_touches_first_counts() -> None:
+    """The recording ends at 3.6 s, where the front of the ego is 14 m from the back of the far one: 1.4 s."""
+    verdicts = judged(3.6)
+    assert verdicts["near"].contact_time == pytest.approx(3.5) and not verdicts["far"].collided
+    assert attackers_of(dict(reversed(verdicts.items()))) == (
+        AttackerResult("near", AttackerRole.TOUCHED, 0.0),
+        AttackerResult("far", AttackerRole.PLAYED, pytest.approx(1.4)),
+    )  # fmt: skip
+    both_hit = judged(6.0)  # as if the ego went through the near one
+    assert [a.role for a in attackers_of(both_hit)] == ["touched", "played"]
+
+
+def test_without_a_contact_the_attacker_with_the_least_ttc_counts() -> None:
+    """At 3 s, 5 m and 20 m are left at 10 m/s: 0.5 s and 2 s."""
+    attackers = attackers_of(judged(3.0))
+    assert attackers == (
+        AttackerResult("near", AttackerRole.PLAYED, pytest.approx(0.5)),
+        AttackerResult("far", AttackerRole.PLAYED, pytest.approx(2.0)),
+    )  # fmt: skip
+
+
+def test_each_attacker_is_judged_by_the_limits_of_its_own_build() -> None:
+    """A truck may brake with 7 m/s2, a car with 8: a car that brakes with 7.6 beside a truck is feasible."""
+    truck = replace(NEAR, length=12.0)
+    firm = replace(cruise("firm", 5, 3.2, 15), acceleration=np.where((EGO.time > 2.0) & (EGO.time < 2.6), -7.6, 0.0))
+    case = Case(EGO, truck, (firm,), 1.0, supports=(firm,))
+    limits = load_settings(None).limits
+    strict = judge_attempt(case, limits=limits.of(truck))
+    fair = judge_attempt(case, limits=limits.of(truck), support_limits=limits.of)
+    assert "longitudinal" in strict.failed_gates and "longitudinal" not in fair.failed_gates
+
+
+def test_a_reference_driver_is_alarmed_by_any_of_the_attackers() -> None:
+    """The adversary comes over slowly 45 m ahead: alarm at 5.5 s (test_reference_drivers). The other attacker, 20 m
+    ahead and as slow, is over the line by 2 s, when 2 s are nearly over: a driver that looked at one only would brake
+    3 s too late."""
+    late = drift("adversary", 50, 3.2, 9, 2.0, 5.0, 0.0)
+    early = drift("early", 25, -3.2, 9, 0.5, 2.0, 0.0)
+    alarms = [
+        judge_attempt(Case(EGO, late, others, 0.5, supports=others)).preventability.alarms["cc_human"]  # type: ignore[union-attr]
+        for others in ((), (early,))
+    ]
+    assert alarms[0] == pytest.approx(5.5) and alarms[1] < 2.5
+
+
+class Alone:
+    """Runs attempts in which the ego touches only ``right``, and only if ``left`` attacks as well."""
+
+    displaces, repeats = True, True
+
+    def __init__(self) -> None:
+        self.tried: list[tuple[str, ...]] = []
+
+    def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
+        self.tried += [p.bvs for p in proposals]
+        hit = replace(MISS, collided=True)
+        return [AttemptResult(Driven("passed"), hit if "left" in p.bvs else MISS, 0.0) for p in proposals]
+
+    def references(self, *_: object) -> None:
+        return None
+
+
+def test_an_attacker_without_which_nothing_is_touched_has_forced_the_contact() -> None:
+    three = cut_ins("right", "left")
+    three = replace(three, supports=(*three.supports, replace(three.supports[0], bv="ahead")))
+    played = [AttackerResult(name, AttackerRole.PLAYED, 1.0) for name in ("left", "ahead")]
+    attackers = (AttackerResult("right", AttackerRole.TOUCHED, 0.0), *played)
+    hit = replace(MISS, collided=True, min_ttc=0.0)
+    attempt = Attempt(0, "tuner", three, 0.0, hit, "contact", attackers=attackers)
+    done, runner = Refinement(attempts=[attempt]), Alone()
+    settle_roles(done, runner)
+    assert runner.tried == [("right", "ahead"), ("right", "left")]
+    assert [str(a.role) for a in done.attempts[0].attackers] == ["touched", "forced", "played"]
+    missed = Refinement(attempts=[replace(attempt, verdict=MISS)])
+    settle_roles(missed, runner)  # nothing was touched, so nothing is simulated
+    assert len(runner.tried) == 2 and missed.attempts[0].attackers == attackers
+
+
+# ---- a run
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run in which a vehicle cuts in from each side of SUMO's IDM."""
+    home = tmp_path_factory.mktemp("attackers")
+    done = Program(home, home).here(
+        "run", both_sides(home), "--learn", "off", "--memory", "bank.sqlite", "--out", "out", "--attempts", "60"
+    )
+    assert done.status == 0, done.err
+    (home / "said.txt").write_text(done.out)
+    return home / "out"
+
+
+def test_both_attackers_of_a_scene_attack_and_are_named(ran: Path) -> None:
+    outcome = json.loads((ran / "outcome.json").read_text())
+    assert outcome["ending"] == "critical" and outcome["outcome"]["level"] in ("valid", "strict", "serious")
+    assert all(set(a["adversaries"]) == {"left", "right"} for a in outcome["attempts"])
+    first, second = outcome["attackers"]
+    assert {first["id"], second["id"]} == {"left", "right"}
+    assert (first["role"], first["min_ttc"]) == ("touched", 0.0) and second["role"] in ("forced", "played")
+    assert [(a["id"], a["role"]) for a in outcome["adversaries"]] == [
+        (first["id"], "collider"), (second["id"], "attack"),
+    ]  # fmt: skip
+    assert outcome["attempts"][outcome["best"]]["composition"] == "Double Cut-in"
+    assert f"Attackers: {first['id']} touched the ego, {second['id']} " in (ran.parent / "said.txt").read_text()
+
+
+def test_a_replay_finds_the_same_with_the_one_that_touched_as_collider(ran: Path) -> None:
+    outcome = json.loads((ran / "outcome.json").read_text())
+    again = app.replay(read_manifest(ran)).best
+    assert again is not None and again.best is not None
+    best = outcome["attempts"][outcome["best"]]
+    assert list(again.best.proposal.bvs) == best["adversaries"]
+    assert again.best.verdict.contact_time == pytest.approx(outcome["outcome"]["contact_time"], abs=1e-3)
+    assert [{"id": a.id, "role": str(a.role)} for a in again.best.attackers] == [
+        {"id": a["id"], "role": a["role"]} for a in outcome["attackers"]
+    ]  # fmt: skip
+
+
+def test_the_page_names_the_attackers(ran: Path, tmp_path: Path) -> None:
+    file = tmp_path / "report.html"
+    file.write_text(make_page(ran), encoding="utf-8")
+    first = json.loads((ran / "outcome.json").read_text())["attackers"][0]["id"]
+    with chromium() as browser, Visit(browser, file) as visit:
+        assert f"{first} touched the ego" in visit.page.locator("#badges").inner_text()

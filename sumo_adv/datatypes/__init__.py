@@ -52,6 +52,8 @@ from sumo_adv.datatypes.motion import (
 from sumo_adv.datatypes.verdict import (
     ENDING_SENTENCES,
     FAILED_ENDINGS,
+    AttackerResult,
+    AttackerRole,
     Diagnosis,
     Ending,
     Level,
@@ -69,6 +71,8 @@ __all__ = [
     "MPH_M_S",
     "Acceleration",
     "Arrival",
+    "AttackerResult",
+    "AttackerRole",
     "Attempt",
     "Bools",
     "Boxes",

@@ -141,6 +141,29 @@ class Verdict:
         return self.level >= Level.STRICT if self.collided else None
 
 
+class AttackerRole(StrEnum):
+    """What an attacker did in an attempt."""
+
+    TOUCHED = "touched"  # the ego touched it first
+    FORCED = "forced"  # it did not touch the ego, but without its attack the ego touches no adversary
+    PLAYED = "played"  # neither, or that was not simulated
+
+
+@dataclass(frozen=True, slots=True)
+class AttackerResult:
+    """What one of the attackers of an attempt came to.
+
+    Attributes:
+        id: The id of the vehicle.
+        role: What it did.
+        min_ttc: The minimum TTC between it and the ego [s]; 0 after a contact, ``inf`` means never.
+    """
+
+    id: str
+    role: AttackerRole
+    min_ttc: float
+
+
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
     """Measurements of an attempt for the modifier. Times are in s after the attempt's start.

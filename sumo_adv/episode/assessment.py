@@ -388,6 +388,8 @@ def attempt_of(
 ) -> Attempt:
     """Make an attempt from its result. An attempt whose planner failed is not feasible.
 
+    Of several attackers, the one that the verdict is on becomes the collider.
+
     Args:
         index: The index of the attempt in its encounter.
         phase: The phase of the run that made the attempt.
@@ -397,6 +399,8 @@ def attempt_of(
         settings: The run's settings.
     """
     verdict = result.verdict or NO_MOTION_VERDICT
+    if result.attackers:
+        proposal = proposal.led_by(result.attackers[0].id)
     if result.driven.ending == "planner_failed":
         failed = (*verdict.failed_gates, "planner_failed")
         verdict = replace(verdict, feasible=False, failed_gates=failed, level=Level.NONE)
@@ -415,7 +419,7 @@ def attempt_of(
         verdict = replace(verdict, misfits=(*verdict.misfits, misfit))
     return Attempt(
         index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis, kind,
-        scenario,
+        scenario, result.attackers,
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from sumo_adv.episode.encounter_finder import OUT_OF_REACH, EncounterFinder, Tel
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.learning import BankView, learn
 from sumo_adv.episode.prepared_encounter import PreparedEncounter, analyze
-from sumo_adv.episode.refinement import Refinement, Refiner, settle_best
+from sumo_adv.episode.refinement import Refinement, Refiner, settle_best, settle_roles
 from sumo_adv.episode.run import EncounterRecord, Keep, Run, Stop, forget
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
@@ -318,6 +318,7 @@ def attack_once(
     done.attempts, done.results = [attempt], [result]
     with done.clock.part("references"):
         settle_best(done, runner)
+        settle_roles(done, runner)
     if settings.goal.met(done.attempts[0].verdict):
         done.ending = Ending.GOAL_MET
     done.end_if_all_failed()

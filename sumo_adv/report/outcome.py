@@ -15,6 +15,7 @@ from sumo_adv.agents.agents import AGENT_ROLES, BUILT_IN_AGENTS, Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import (
     ENDING_SENTENCES,
+    AttackerResult,
     Attempt,
     Duty,
     Intent,
@@ -69,6 +70,7 @@ def outcome(
         "network": run.run_input.name, "seed": settings.seed,
         "ego": {"id": encounter.ego if encounter else chosen, "controller": task.ego_driver},
         "adversaries": [p.as_adversary() for p in best.proposal.members] if best else [],
+        "attackers": [] if best is None else [_attacker(each) for each in best.attackers],
         "trigger_time": number(best.trigger_time) if best else None,
         "encounter": None if encounter is None else _encounter(encounter),
         "agents": _agents(run),
@@ -97,6 +99,11 @@ def outcome(
         "warnings": [asdict(kind) for kind in kinds_of(run.warnings)],
         "asked": _asked(run.request if record is None else record.request, record, settings),
     }  # fmt: skip
+
+
+def _attacker(attacker: AttackerResult) -> dict[str, Any]:
+    """Return what one of the attackers of the attempt that counts came to."""
+    return {"id": attacker.id, "role": str(attacker.role), "min_ttc": number(attacker.min_ttc)}
 
 
 def timing(run: Run, record: EncounterRecord | None, writing: Mapping[str, float]) -> dict[str, float | None]:

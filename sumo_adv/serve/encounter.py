@@ -13,14 +13,14 @@ from functools import partial
 from itertools import combinations
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Preventability, Proposal, Track
+from sumo_adv.datatypes import AttackerResult, Preventability, Proposal, Track
 from sumo_adv.episode.attempt import Driven, apart_of, attack, controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, EncounterDetector, RankedVehicle
 from sumo_adv.episode.situation_builder import build_situation, trigger_state
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.traffic_forecast import apart, traffic_forecast
-from sumo_adv.episode.verdict import verdict_on
+from sumo_adv.episode.verdict import verdict_of_attackers
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.serve.events import Events, helpers
@@ -245,6 +245,7 @@ class LiveAttempts:
         trigger = len(session.recording.snapshots) - settings.steps(session.now - encounter.time)
         self.prefixes.append(session.recording.snapshots[:trigger])
         start, verdict = session.now, None
+        attackers: tuple[AttackerResult, ...] = ()
         session.attended, session.adversaries = True, bvs
         edges = {bv: session.simulation.route(bv)[0] for bv in bvs if bv in session.snapshot.raw}
         try:
@@ -252,13 +253,18 @@ class LiveAttempts:
                 session.tick()
             start = session.now
             driven = self._drive(session, proposal)
-            verdict = verdict_on(session, encounter, settings, trigger, bvs, start, driven)
+            verdict, attackers = verdict_of_attackers(session, encounter, settings, trigger, proposal, start, driven)
         except EgoLost:
             driven, self.lost = Driven("ego_lost", LOST), True
         finally:
             session.attended, session.adversaries = False, ()
         result = AttemptResult(
-            driven, verdict, start, session.recording.snapshots[trigger:], dict(session.simulation.fleet.sizes)
+            driven,
+            verdict,
+            start,
+            session.recording.snapshots[trigger:],
+            dict(session.simulation.fleet.sizes),
+            attackers=attackers,
         )
         hits = collided(session, bvs, with_ego=driven.ending == "contact")
         for bv in bvs:
