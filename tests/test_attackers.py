@@ -16,9 +16,10 @@ from metrics_tracks import cruise, drift
 from page_samples import Visit, chromium
 from situation_samples import neighbour, situation
 from test_several import AHEAD, LEFT, MISS, RIGHT, SCENE, SHIFT, Saved, attack
+from test_words_motion import EGO_SPEED, TIME, seen, track
 
 import sumo_adv.app as app
-from sumo_adv.asked import Attacker
+from sumo_adv.asked import Asked, Attacker, Event
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import (
     MAX_WAIT_S,
@@ -45,6 +46,8 @@ from sumo_adv.search.sampling import varied, varied_in_one
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.simulation.inputs import load_input
+from sumo_adv.words.fit import compare_attackers, misfits
+from sumo_adv.words.motion import DescribedMotion, words_of
 
 TOGETHER = (Attacker(id="left"), Attacker(id="right", intents=("shift",)))
 
@@ -290,15 +293,64 @@ def test_an_attacker_without_which_nothing_is_touched_has_forced_the_contact() -
     assert len(runner.tried) == 2 and missed.attempts[0].attackers == attackers
 
 
+# ---- the fit
+
+
+def cutting_in(side: float, start: float) -> DescribedMotion:
+    """At the ego's speed 10 m ahead, 3.6 m beside until ``start``, then 1.2 m/s inwards: in the way 1.6 s later, where
+    1.68 m are left and both are 1.8 m wide."""
+    y = side * np.clip(3.6 - 1.2 * (TIME - start), 0.0, 3.6)
+    return seen(track("cutter", 10.0 + EGO_SPEED * TIME, y, 0.0, EGO_SPEED, (4.8, 1.8)))
+
+
+SIDES = {"a": Asked(events=(Event.ENTERS_FROM_LEFT,)), "b": Asked(events=(Event.ENTERS_FROM_RIGHT,))}
+
+
+def test_what_is_asked_of_each_attacker_is_compared_with_its_own_motion() -> None:
+    """They enter at 3.6 s and 2.6 s."""
+    motions = {"a": cutting_in(1.0, 2.0), "b": cutting_in(-1.0, 1.0)}
+    parts = compare_attackers(Asked(within=3.0), SIDES, motions, "b")
+    assert [(part.name, part.holds, part.says) for part in parts] == [
+        ("a: events: enters_from_left", True, "a: 'enters_from_left' happens at 3.6 s."),
+        ("b: events: enters_from_right", True, "b: 'enters_from_right' happens at 2.6 s."),
+        ("within", True, "What is asked of the attackers happens within 1.0 s."),
+    ]
+    assert misfits(compare_attackers(Asked(within=0.5), SIDES, motions, "b")) == (
+        "What is asked of the attackers happens within 1.0 s, not 0.5 s.",
+    )
+    swapped = {"a": motions["b"], "b": motions["a"]}
+    assert len(misfits(compare_attackers(Asked(within=3.0), SIDES, swapped, "b"))) == 3
+
+
+def test_an_attacker_that_is_gone_at_once_does_not_fit() -> None:
+    parts = compare_attackers(Asked(within=3.0), SIDES, {"a": cutting_in(1.0, 2.0)}, "a")
+    assert misfits(parts) == ("b was gone at once.", "Not all attackers do what is asked of them.")
+
+
+def test_a_reader_gets_the_facts_of_each_attacker_under_its_own_letter() -> None:
+    words = words_of([cutting_in(1.0, 2.0), cutting_in(-1.0, 1.0)])
+    assert words.startswith("2 road users attack: A, B.")
+    first, second = words.split("\n\n")[1:]
+    assert "3.6 s: A comes from the left into EGO's way" in first and " B " not in first
+    assert "2.6 s: B comes from the right into EGO's way" in second and " A " not in second
+
+
 # ---- a run
 
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a run in which a vehicle cuts in from each side of SUMO's IDM."""
+    """The folder of a run in which a vehicle cuts in from each side of SUMO's IDM, both within 3 s."""
     home = tmp_path_factory.mktemp("attackers")
     done = Program(home, home).here(
-        "run", both_sides(home), "--learn", "off", "--memory", "bank.sqlite", "--out", "out", "--attempts", "60"
+        "run",
+        both_sides(home, asked='level = "valid"\nwithin = 3.0'),
+        "--learn",
+        "off",
+        "--memory",
+        "bank.sqlite",
+        "--out",
+        "out",
     )
     assert done.status == 0, done.err
     (home / "said.txt").write_text(done.out)
@@ -317,6 +369,15 @@ def test_both_attackers_of_a_scene_attack_and_are_named(ran: Path) -> None:
     ]  # fmt: skip
     assert outcome["attempts"][outcome["best"]]["composition"] == "Double Cut-in"
     assert f"Attackers: {first['id']} touched the ego, {second['id']} " in (ran.parent / "said.txt").read_text()
+
+
+def test_both_cut_in_within_the_time(ran: Path) -> None:
+    asked = json.loads((ran / "outcome.json").read_text())["asked"]
+    assert asked["fits"] and asked["attackers"]["right"] == {"events": ["enters_from_right"]}
+    assert [part["name"] for part in asked["parts"]] == [
+        "left: events: enters_from_left", "right: events: enters_from_right", "within",
+    ]  # fmt: skip
+    assert "B comes from the right into EGO's way" in asked["motion"]
 
 
 def test_a_replay_finds_the_same_with_the_one_that_touched_as_collider(ran: Path) -> None:

@@ -321,6 +321,8 @@ def _check_attackers(run_input: RunInput, settings: Settings) -> None:
     count = len(run_input.attackers)
     if count and settings.adversary:
         raise UsageError(f"{run_input.path} says which {count} vehicles attack: leave out --adversary.")
+    if count and settings.ask:
+        raise UsageError(f"{run_input.path} says what its {count} attackers do: leave out --ask.")
     if count > settings.adversaries:
         raise UsageError(f"In {run_input.path} {count} vehicles attack together: give --adversaries {count} or more.")
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.asked import Asked
+from sumo_adv.asked import Asked, Attacker
 from sumo_adv.config import MAX_ATTACK_DELAY_S, Settings, load_settings
 from sumo_adv.datatypes import MAX_WAIT_S, Duty, Proposal, acceleration_of
 from sumo_adv.episode.task import Task
@@ -102,6 +102,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> RecordedRun:
     run_input = RunInput(
         name=m["name"], path=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
         asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
+        attackers=tuple(Attacker.model_validate(each) for each in m.get("attackers", ())),
         conversion=conversion, notes=tuple(m.get("notes", ())),
         waymo=waymo_source(m),
     )  # fmt: skip

@@ -25,7 +25,7 @@ from sumo_adv.datatypes import (
     Verdict,
     plain_acceleration,
 )
-from sumo_adv.episode.assessment import motion_of
+from sumo_adv.episode.assessment import motions_of
 from sumo_adv.episode.run import EncounterRecord, Request, Run, seconds_by_part
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
@@ -34,7 +34,8 @@ from sumo_adv.scenario_names import columns_of
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.simulation.warnings_log import kinds_of
-from sumo_adv.words.fit import compare
+from sumo_adv.words.fit import Part, compare_attackers, misfits
+from sumo_adv.words.motion import DescribedMotion, words_of
 
 MANIFEST_SCHEMA = 1
 ATTACKS = "attacks"  # a run's folder has one folder in it for each further kind of attack, by attempt number
@@ -146,18 +147,33 @@ def _asked(request: Request, record: EncounterRecord | None, settings: Settings)
     """Describe what was asked for, and whether the attempt that counts fits; return None if nothing was asked for."""
     if request.asked is None:
         return None
-    best = motion = reading = None
+    best = reading = None
+    motions: dict[str, DescribedMotion] = {}
+    parts: tuple[Part, ...] = ()
+    lacks: tuple[str, ...] = ()
     if record is not None and (best := record.best) is not None:
-        motion = motion_of(best, record.results[best.index], record.found, settings)
+        of = tuple(request.attackers)
+        motions = motions_of(best, record.results[best.index], record.found, settings, of)
         reading = record.readings.get(best.index)
-    parts = () if motion is None else compare(request.asked, motion)
-    lacks = () if best is None or motion is None else best.verdict.misfits or [p.says for p in parts if not p.holds]
+    if best is not None and motions:
+        parts = compare_attackers(request.asked, request.attackers, motions, best.proposal.bv)
+        lacks = best.verdict.misfits or misfits(parts)
     return {
-        "words": request.words or None, "attack": request.asked.model_dump(mode="json", exclude_defaults=True),
-        "fits": motion is not None and not lacks, "misfits": list(lacks), "parts": [asdict(part) for part in parts],
-        "motion": None if motion is None else motion.words,
+        "words": request.words or None, **_requested(request),
+        "fits": bool(motions) and not lacks, "misfits": list(lacks), "parts": [asdict(part) for part in parts],
+        "motion": words_of(list(motions.values())) if motions else None,
         "reading": None if reading is None else reading.model_dump(mode="json"),
     }  # fmt: skip
+
+
+def _requested(request: Request) -> dict[str, Any]:
+    """Return what must be true of the attack and, of several attackers, of each."""
+    assert request.asked is not None
+    attack = request.asked.model_dump(mode="json", exclude_defaults=True)
+    if not request.attackers:
+        return {"attack": attack}
+    each = {name: own.model_dump(mode="json", exclude_defaults=True) for name, own in request.attackers.items()}
+    return {"attack": attack, "attackers": each}
 
 
 def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
@@ -352,6 +368,7 @@ def manifest(run: Run, record: EncounterRecord | None, inputs: Mapping[Path, str
         "skips": run.encounters_before(record),
         "intents_allowed": list(run_input.intents), "words": request.words or None,
         "asked": None if request.asked is None else request.asked.model_dump(mode="json", exclude_defaults=True),
+        "attackers": [each.model_dump(mode="json", exclude_defaults=True) for each in run_input.attackers],
         "bank_hash": run.bank_hash, "bandit": [] if record is None else list(record.bandit),
         "model_answers": None if model_agents is None else MODEL_FILE,
         "prompts": None if model_agents is None else model_agents.prompts.versions,

@@ -322,9 +322,15 @@ def _from_scenario(path: Path) -> RunInput:
         candidates=scenario.adversary.candidates or tuple(each.id for each in scenario.attackers),
         supports=scenario.adversary.supports, intents=_intents(scenario), label=scenario.label,
         files=(path, network, *routes, *additional, *_named(scans), *(playback.files if playback else ())),
-        playback=playback, asked=scenario.asked, attackers=scenario.attackers,
+        playback=playback, asked=_asked(scenario), attackers=scenario.attackers,
         words=scenario.written.words if scenario.written else "",
     )  # fmt: skip
+
+
+def _asked(scenario: Scenario) -> Asked | None:
+    """Return what is asked of the attack; nothing in particular if it is only asked of its attackers."""
+    of_attackers = any(attacker.asked != Asked() for attacker in scenario.attackers)
+    return Asked() if scenario.asked is None and of_attackers else scenario.asked
 
 
 def _intents(scenario: Scenario) -> tuple[str, ...]:
