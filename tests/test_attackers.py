@@ -28,6 +28,7 @@ from sumo_adv.datatypes import (
     Attempt,
     Duty,
     Endpoint,
+    Level,
     Limits,
     Proposal,
     Verdict,
@@ -36,11 +37,13 @@ from sumo_adv.episode.attempt import Driven, PlannedAdversary
 from sumo_adv.episode.refinement import Refinement, settle_roles
 from sumo_adv.episode.task import AttemptResult, make_task
 from sumo_adv.errors import UsageError
+from sumo_adv.goal import Goal
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.verdict import attackers_of, judge_attempt
 from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.report.manifest import read_manifest
 from sumo_adv.report.page import make_page
+from sumo_adv.search.evolution import badness
 from sumo_adv.search.rollouts import predict
 from sumo_adv.search.sampling import varied, varied_in_one
 from sumo_adv.search.search import AttackSearch
@@ -220,8 +223,8 @@ def test_the_attacker_that_touches_first_counts() -> None:
     verdicts = judged(3.6)
     assert verdicts["near"].contact_time == pytest.approx(3.5) and not verdicts["far"].collided
     assert attackers_of(dict(reversed(verdicts.items()))) == (
-        AttackerResult("near", AttackerRole.TOUCHED, 0.0),
-        AttackerResult("far", AttackerRole.PLAYED, pytest.approx(1.4)),
+        AttackerResult("near", AttackerRole.TOUCHED, 0.0, 0.0),
+        AttackerResult("far", AttackerRole.PLAYED, pytest.approx(1.4), pytest.approx(14.0)),
     )  # fmt: skip
     both_hit = judged(6.0)  # as if the ego went through the near one
     assert [a.role for a in attackers_of(both_hit)] == ["touched", "played"]
@@ -231,8 +234,8 @@ def test_without_a_contact_the_attacker_with_the_least_ttc_counts() -> None:
     """At 3 s, 5 m and 20 m are left at 10 m/s: 0.5 s and 2 s."""
     attackers = attackers_of(judged(3.0))
     assert attackers == (
-        AttackerResult("near", AttackerRole.PLAYED, pytest.approx(0.5)),
-        AttackerResult("far", AttackerRole.PLAYED, pytest.approx(2.0)),
+        AttackerResult("near", AttackerRole.PLAYED, pytest.approx(0.5), pytest.approx(5.0)),
+        AttackerResult("far", AttackerRole.PLAYED, pytest.approx(2.0), pytest.approx(20.0)),
     )  # fmt: skip
 
 
@@ -280,17 +283,26 @@ class Alone:
 def test_an_attacker_without_which_nothing_is_touched_has_forced_the_contact() -> None:
     three = cut_ins("right", "left")
     three = replace(three, supports=(*three.supports, replace(three.supports[0], bv="ahead")))
-    played = [AttackerResult(name, AttackerRole.PLAYED, 1.0) for name in ("left", "ahead")]
-    attackers = (AttackerResult("right", AttackerRole.TOUCHED, 0.0), *played)
-    hit = replace(MISS, collided=True, min_ttc=0.0)
-    attempt = Attempt(0, "tuner", three, 0.0, hit, "contact", attackers=attackers)
+    played = [AttackerResult(name, AttackerRole.PLAYED, 1.0, 3.0) for name in ("left", "ahead")]
+    attackers = (AttackerResult("right", AttackerRole.TOUCHED, 0.0, 0.0), *played)
+    hit = replace(MISS, collided=True, min_ttc=0.0, attackers=attackers)
+    attempt = Attempt(0, "tuner", three, 0.0, hit, "contact")
     done, runner = Refinement(attempts=[attempt]), Alone()
     settle_roles(done, runner)
     assert runner.tried == [("right", "ahead"), ("right", "left")]
-    assert [str(a.role) for a in done.attempts[0].attackers] == ["touched", "forced", "played"]
-    missed = Refinement(attempts=[replace(attempt, verdict=MISS)])
+    assert [str(a.role) for a in done.attempts[0].verdict.attackers] == ["touched", "forced", "played"]
+    missed = Refinement(attempts=[replace(attempt, verdict=replace(MISS, attackers=attackers))])
     settle_roles(missed, runner)  # nothing was touched, so nothing is simulated
-    assert len(runner.tried) == 2 and missed.attempts[0].attackers == attackers
+    assert len(runner.tried) == 2 and missed.attempts[0].verdict.attackers == attackers
+
+
+def test_an_attempt_that_does_not_fit_is_better_the_nearer_all_attackers_came() -> None:
+    """A collision that does not fit is 4. The other one stayed 15 m and 5 s away: (0.5 + 0.5) / 2 more."""
+    hit = replace(MISS, collided=True, min_ttc=0.0, min_distance=0.0, level=Level.STRICT, misfits=("b is late.",))
+    touched = AttackerResult("a", AttackerRole.TOUCHED, 0.0, 0.0)
+    other = AttackerResult("b", AttackerRole.PLAYED, 5.0, 15.0)
+    assert badness(hit, Goal()) == 4.0
+    assert badness(replace(hit, attackers=(touched, other)), Goal()) == pytest.approx(4.5)
 
 
 # ---- the fit
@@ -342,16 +354,9 @@ def test_a_reader_gets_the_facts_of_each_attacker_under_its_own_letter() -> None
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run in which a vehicle cuts in from each side of SUMO's IDM, both within 3 s."""
     home = tmp_path_factory.mktemp("attackers")
-    done = Program(home, home).here(
-        "run",
-        both_sides(home, asked='level = "valid"\nwithin = 3.0'),
-        "--learn",
-        "off",
-        "--memory",
-        "bank.sqlite",
-        "--out",
-        "out",
-    )
+    scenario = both_sides(home, asked='level = "valid"\nwithin = 3.0')
+    kept = ("--learn", "off", "--memory", "bank.sqlite", "--out", "out", "--attempts", "8")
+    done = Program(home, home).here("run", scenario, *kept)
     assert done.status == 0, done.err
     (home / "said.txt").write_text(done.out)
     return home / "out"
@@ -387,7 +392,7 @@ def test_a_replay_finds_the_same_with_the_one_that_touched_as_collider(ran: Path
     best = outcome["attempts"][outcome["best"]]
     assert list(again.best.proposal.bvs) == best["adversaries"]
     assert again.best.verdict.contact_time == pytest.approx(outcome["outcome"]["contact_time"], abs=1e-3)
-    assert [{"id": a.id, "role": str(a.role)} for a in again.best.attackers] == [
+    assert [{"id": a.id, "role": str(a.role)} for a in again.best.verdict.attackers] == [
         {"id": a["id"], "role": a["role"]} for a in outcome["attackers"]
     ]  # fmt: skip
 

@@ -10,7 +10,7 @@ from enum import StrEnum
 from functools import lru_cache
 
 from sumo_adv.datatypes.motion import Acceleration, PrescribedMotion
-from sumo_adv.datatypes.verdict import AttackerResult, Diagnosis, Level, Verdict
+from sumo_adv.datatypes.verdict import Diagnosis, Level, Verdict
 
 
 class Duty(StrEnum):
@@ -326,7 +326,6 @@ class Attempt:
     diagnosis: Diagnosis | None = None
     kind: str = ""  # intent, relation and side of the ego that is hit
     scenario: NamedScenario | None = None  # None if the ego or the adversary left at once
-    attackers: tuple[AttackerResult, ...] = ()  # the collider first; empty without a verdict
 
 
 @dataclass(frozen=True, slots=True)

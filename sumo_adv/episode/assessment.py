@@ -414,8 +414,8 @@ def attempt_of(
         settings: The run's settings.
     """
     verdict = result.verdict or NO_MOTION_VERDICT
-    if result.attackers:
-        proposal = proposal.led_by(result.attackers[0].id)
+    if verdict.attackers:
+        proposal = proposal.led_by(verdict.attackers[0].id)
     if result.driven.ending == "planner_failed":
         failed = (*verdict.failed_gates, "planner_failed")
         verdict = replace(verdict, feasible=False, failed_gates=failed, level=Level.NONE)
@@ -434,7 +434,7 @@ def attempt_of(
         verdict = replace(verdict, misfits=(*verdict.misfits, misfit))
     return Attempt(
         index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis, kind,
-        scenario, result.attackers,
+        scenario,
     )  # fmt: skip
 
 

@@ -80,13 +80,11 @@ class OpenEncounter:
         drive = self.drive
         start = self._begin(proposal)
         driven = self._attack(proposal, asks)
-        verdict, attackers = verdict_of_attackers(
-            drive, self.found, self.settings, self.trigger_step, proposal, start, driven
-        )
+        verdict = verdict_of_attackers(drive, self.found, self.settings, self.trigger_step, proposal, start, driven)
         snapshots = StoredSnapshots(drive.recording.snapshots[self.trigger_step :])
         return AttemptResult(
             driven, verdict, start, snapshots, dict(drive.simulation.fleet.sizes), drive.actions.total(),
-            tuple(drive.inside), attackers,
+            tuple(drive.inside),
         )  # fmt: skip
 
     def avoids(

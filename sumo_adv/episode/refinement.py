@@ -134,7 +134,7 @@ def settle_roles(done: Refinement, runner: Attempts) -> None:
         runner: Runs the simulations.
     """
     k = done.best
-    others = () if k is None or not runner.repeats else done.attempts[k].attackers[1:]
+    others = () if k is None or not runner.repeats else done.attempts[k].verdict.attackers[1:]
     if k is None or not others or not done.attempts[k].verdict.collided:
         return
     attempt = done.attempts[k]
@@ -143,7 +143,8 @@ def settle_roles(done: Refinement, runner: Attempts) -> None:
         replace(each, role=AttackerRole.FORCED) if _missed(result) else each
         for each, result in zip(others, without, strict=True)
     ]
-    done.attempts[k] = replace(attempt, attackers=(attempt.attackers[0], *settled))
+    attackers = (attempt.verdict.attackers[0], *settled)
+    done.attempts[k] = replace(attempt, verdict=replace(attempt.verdict, attackers=attackers))
 
 
 def _missed(result: AttemptResult) -> bool:

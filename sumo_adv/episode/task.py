@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import Settings, reachable
-from sumo_adv.datatypes import AttackerResult, Ending, RoadPlace, Role, Track, Verdict
+from sumo_adv.datatypes import Ending, RoadPlace, Role, Track, Verdict
 from sumo_adv.drivers.protocol import DriverInside
 from sumo_adv.drivers.registry import GivenEgo
 from sumo_adv.episode.attempt import Driven
@@ -165,7 +165,6 @@ class AttemptResult:
     Attributes:
         driven: How the attempt went.
         verdict: The verdict on the attempt; None if it could not be judged.
-        attackers: What each attacker came to, the one that the verdict is on first; empty without a verdict.
         start: The time at which the adversaries were taken over [s]; the trigger if the attempt crashed.
         snapshots: The states from the trigger on; empty if they were not kept.
         sizes: Length and width of the vehicles by id [m].
@@ -181,7 +180,6 @@ class AttemptResult:
     sizes: Mapping[str, tuple[float, float]] = field(repr=False, default_factory=dict)
     actions: EgoActions | None = None
     inside: Sequence[DriverInside] = field(repr=False, default=())
-    attackers: tuple[AttackerResult, ...] = ()
 
     def tracks(self, step: float, *only: str) -> dict[str, Track]:
         """Return the recorded motions by id.

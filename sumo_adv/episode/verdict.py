@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import AttackerResult, Proposal, Track, Verdict
+from sumo_adv.datatypes import Proposal, Track, Verdict
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import FoundEncounter
@@ -17,8 +18,8 @@ from sumo_adv.simulation.tracks import tracks_of
 def verdict_of_attackers(
     drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, proposal: Proposal, start: float,
     driven: Driven,
-) -> tuple[Verdict | None, tuple[AttackerResult, ...]]:  # fmt: skip
-    """Return the verdict that counts on the attempt that was just driven, and what each attacker came to.
+) -> Verdict | None:  # fmt: skip
+    """Return the verdict that counts on the attempt that was just driven, with what each attacker came to.
 
     Each attacker is judged with the others among the other vehicles (``verdict_on``).
 
@@ -32,8 +33,7 @@ def verdict_of_attackers(
         driven: How the attempt went.
 
     Returns:
-        The verdict; None if the ego or all attackers left before they moved. The attackers, the one whose verdict
-        counts first.
+        The verdict; None if the ego or all attackers left before they moved.
     """
     verdicts = {}
     for name in proposal.attackers:
@@ -42,7 +42,7 @@ def verdict_of_attackers(
         if verdict is not None:
             verdicts[name] = verdict
     attackers = attackers_of(verdicts)
-    return (verdicts[attackers[0].id] if attackers else None), attackers
+    return replace(verdicts[attackers[0].id], attackers=attackers) if attackers else None
 
 
 def verdict_on(

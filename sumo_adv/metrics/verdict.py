@@ -121,7 +121,7 @@ def attackers_of(verdicts: Mapping[str, Verdict]) -> tuple[AttackerResult, ...]:
     return tuple(
         AttackerResult(
             name, AttackerRole.TOUCHED if k == 0 and times[name] < never else AttackerRole.PLAYED,
-            verdicts[name].min_ttc,
+            verdicts[name].min_ttc, verdicts[name].min_distance,
         )
         for k, name in enumerate(order)
     )  # fmt: skip

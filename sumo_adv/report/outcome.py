@@ -71,7 +71,7 @@ def outcome(
         "network": run.run_input.name, "seed": settings.seed,
         "ego": {"id": encounter.ego if encounter else chosen, "controller": task.ego_driver},
         "adversaries": [p.as_adversary() for p in best.proposal.members] if best else [],
-        "attackers": [] if best is None else [_attacker(each) for each in best.attackers],
+        "attackers": [] if best is None else [_attacker(each) for each in best.verdict.attackers],
         "trigger_time": number(best.trigger_time) if best else None,
         "encounter": None if encounter is None else _encounter(encounter),
         "agents": _agents(run),

@@ -51,15 +51,14 @@ def badness(verdict: Verdict, goal: Goal) -> float:
     """
     if goal.ttc is not None:
         return _off_band(verdict, goal.ttc)
-    distance, ttc = min(verdict.min_distance, MAX_COUNTED_DISTANCE_M), min(verdict.min_ttc, MAX_COUNTED_TTC_S)
-    gap = (distance / MAX_COUNTED_DISTANCE_M + ttc / MAX_COUNTED_TTC_S) / 2
+    gap = _gap(verdict.min_distance, verdict.min_ttc)
     if not verdict.counts:
         return 6.0 + gap
     if not verdict.collided:
         return 5.0 - float(verdict.level) + gap
     delta_v, level = verdict.delta_v or 0.0, goal.reached(verdict)
-    if verdict.misfits:
-        return 4.0 + gap
+    if verdict.misfits:  # of several attackers, all are to come near the ego
+        return 4.0 + gap + max((_gap(a.min_distance, a.min_ttc) for a in verdict.attackers[1:]), default=0.0)
     if level < verdict.level:  # the collision is milder than wanted
         return 4.0 - min(delta_v / goal.min_delta_v, 1.0) / 2
     hard, human = min(delta_v / MAX_COUNTED_DELTA_V_M_S, 1.0), float(bool(verdict.humanlike))
@@ -67,6 +66,12 @@ def badness(verdict: Verdict, goal: Goal) -> float:
     if level < Level.STRICT:
         return 5.0 - float(level) - 0.5 * warning - 0.2 * human - 0.1 * overlap - 0.1 * hard
     return 5.0 - float(level) - 0.1 * warning - 0.2 * human - 0.1 * overlap - 0.5 * hard
+
+
+def _gap(distance: float, ttc: float) -> float:
+    """Rate how near a vehicle came by its minimum distance [m] and TTC [s]: 0 is a contact, 1 is far away."""
+    near, soon = min(distance, MAX_COUNTED_DISTANCE_M), min(ttc, MAX_COUNTED_TTC_S)
+    return (near / MAX_COUNTED_DISTANCE_M + soon / MAX_COUNTED_TTC_S) / 2
 
 
 def _off_band(verdict: Verdict, band: tuple[float, float]) -> float:

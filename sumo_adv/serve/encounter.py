@@ -13,7 +13,7 @@ from functools import partial
 from itertools import combinations
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import AttackerResult, Preventability, Proposal, Track
+from sumo_adv.datatypes import Preventability, Proposal, Track
 from sumo_adv.episode.attempt import Driven, apart_of, attack, controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, EncounterDetector, RankedVehicle
@@ -245,7 +245,6 @@ class LiveAttempts:
         trigger = len(session.recording.snapshots) - settings.steps(session.now - encounter.time)
         self.prefixes.append(session.recording.snapshots[:trigger])
         start, verdict = session.now, None
-        attackers: tuple[AttackerResult, ...] = ()
         session.attended, session.adversaries = True, bvs
         edges = {bv: session.simulation.route(bv)[0] for bv in bvs if bv in session.snapshot.raw}
         try:
@@ -253,7 +252,7 @@ class LiveAttempts:
                 session.tick()
             start = session.now
             driven = self._drive(session, proposal)
-            verdict, attackers = verdict_of_attackers(session, encounter, settings, trigger, proposal, start, driven)
+            verdict = verdict_of_attackers(session, encounter, settings, trigger, proposal, start, driven)
         except EgoLost:
             driven, self.lost = Driven("ego_lost", LOST), True
         finally:
@@ -264,7 +263,6 @@ class LiveAttempts:
             start,
             session.recording.snapshots[trigger:],
             dict(session.simulation.fleet.sizes),
-            attackers=attackers,
         )
         hits = collided(session, bvs, with_ego=driven.ending == "contact")
         for bv in bvs:
