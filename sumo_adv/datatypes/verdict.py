@@ -97,7 +97,7 @@ class AttackerRole(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AttackerResult:
-    """What one of the attackers of an attempt came to.
+    """The result of one of the attackers of an attempt.
 
     Attributes:
         id: The id of the vehicle.

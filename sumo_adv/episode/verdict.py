@@ -19,7 +19,7 @@ def verdict_of_attackers(
     drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, proposal: Proposal, start: float,
     driven: Driven,
 ) -> Verdict | None:  # fmt: skip
-    """Return the verdict that counts on the attempt that was just driven, with what each attacker came to.
+    """Return the verdict that counts on the attempt that was just driven, with the result of each attacker.
 
     Each attacker is judged with the others among the other vehicles (``verdict_on``).
 

@@ -107,7 +107,7 @@ def judge_attempt(
 
 
 def attackers_of(verdicts: Mapping[str, Verdict]) -> tuple[AttackerResult, ...]:
-    """Return what each attacker of an attempt came to, the one whose verdict counts first.
+    """Return the result of each attacker of an attempt, the one whose verdict counts first.
 
     The verdict that counts is that of the attacker that the ego touches first or, without a contact, that of the one
     with the smallest minimum TTC.

@@ -103,7 +103,7 @@ def outcome(
 
 
 def _attacker(attacker: AttackerResult) -> dict[str, Any]:
-    """Return what one of the attackers of the attempt that counts came to."""
+    """Return the result of one attacker in the attempt that counts."""
     return {"id": attacker.id, "role": str(attacker.role), "min_ttc": number(attacker.min_ttc)}
 
 
