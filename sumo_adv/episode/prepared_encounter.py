@@ -202,7 +202,7 @@ def _with_request(record: EncounterRecord, settings: Settings, agents: Agents) -
         return record
     if agents.asked is None:  # no model, or one that failed and was replaced
         raise needs_model("An attack asked for in words", settings.ask)
-    record = replace(record, request=Request(agents.asked, settings.ask, declined=agents.why_not))
+    record = replace(record, request=Request(agents.asked, settings.ask, agents.why_not))
     if not agents.why_not:
         return record
     note = f"The encounter at {record.found.time:.1f} s cannot play the request: {agents.why_not}"

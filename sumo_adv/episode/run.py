@@ -28,14 +28,14 @@ class Request:
     Attributes:
         asked: What must be true of the attack; None if no attack was requested.
         words: The request in words; empty if there are none.
-        attackers: What must be true of each of several attackers, by id; empty for one adversary.
         declined: Why the request cannot be played in the encounter; empty if it can.
+        attackers: What must be true of each of several attackers, by id; empty for one adversary.
     """
 
     asked: Asked | None = None
     words: str = ""
-    attackers: Mapping[str, Asked] = field(default_factory=dict)
     declined: str = ""
+    attackers: Mapping[str, Asked] = field(default_factory=dict)
 
     @staticmethod
     def of(run_input: RunInput) -> Request:
@@ -45,7 +45,7 @@ class Request:
             run_input: The input.
         """
         attackers = {each.id: each.asked for each in run_input.attackers}
-        return Request(run_input.asked, run_input.words, attackers)
+        return Request(run_input.asked, run_input.words, attackers=attackers)
 
 
 @dataclass(frozen=True, slots=True)
