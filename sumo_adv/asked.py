@@ -72,8 +72,8 @@ class Asked(_Table):
     this order; others may come between. side: of the ego that is hit. hidden: other vehicles, standing or moving, or
     obstacles hide it from the ego at first or for half a second before it comes into the ego's way. beside: another
     vehicle is beside the ego on that side at some time. least_length: of the adversary [m]. most_speed_first: it is no
-    faster than this at first [m/s]. most_braking: it brakes no harder than this [m/s2]. level: which the attack must
-    reach.
+    faster than this at first [m/s]. most_braking: it brakes no harder than this [m/s2]. within: all events that are
+    asked of several attackers end within this time [s]. level: which the attack must reach.
     """
 
     relation: Relation | None = None
@@ -85,6 +85,7 @@ class Asked(_Table):
     least_length: Annotated[float, Field(gt=0, le=30)] | None = None
     most_speed_first: Annotated[float, Field(ge=0, le=60)] | None = None
     most_braking: Annotated[float, Field(gt=0, le=12)] | None = None
+    within: Annotated[float, Field(gt=0, le=20)] | None = None
     level: Literal["near_miss", "critical", "collision", "valid", "strict", "serious"] | None = None
 
     @property
@@ -93,6 +94,15 @@ class Asked(_Table):
         if self.level is None:
             return {}
         return {"ttc": NEAR_MISS_TTC_S, "until": "critical"} if self.level == "near_miss" else {"until": self.level}
+
+
+class Attacker(_Table):
+    """One of several vehicles that attack together. id: of the vehicle. intents: which it may try; empty allows all.
+    asked: what must be true of it."""
+
+    id: Annotated[str, Field(min_length=1)]
+    intents: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    asked: Asked = Asked()
 
 
 class RequestOrigin(_Table):

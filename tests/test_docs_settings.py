@@ -16,7 +16,7 @@ from pydantic import BaseModel, SecretStr
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sumo_adv.asked import Asked, RequestOrigin
+from sumo_adv.asked import Asked, Attacker, RequestOrigin
 from sumo_adv.config import LimitSettings, ModelSettings, Settings
 from sumo_adv.config_odd import Odd
 from sumo_adv.ego_sensing import EgoSensing
@@ -34,6 +34,7 @@ PARTS: Mapping[str, type[BaseModel]] = {  # of a scenario file, all in one table
     "[signals] ": Signals, "[label] ": Label, "[written] ": RequestOrigin, "[asked] ": Asked, "[[...]] ": ObstacleBox,
     "[[scripts]] ": Script, "[[scripts.actions]] ": Action, "[scripts.actions.when] ": Condition,
     "[[moves]] ": EgoMove, "[[sight]] ": SightStretch,
+    "[[attackers]] ": Attacker,
 }  # fmt: skip
 WORDS = {float: "number", int: "whole number", str: "text", bool: "true, false", Path: "path", SecretStr: "text"}
 SIGNS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}", "min_length": "{} or more characters"}

@@ -82,7 +82,7 @@ def test_a_model_is_asked_for_compositions_only_where_several_adversaries_are_al
     assert two.system == alone.system and two.user.startswith(alone.user)
     added = two.user.removeprefix(alone.user)
     assert "up to 2 BVs" in added
-    assert "BV1: collider, block_right (Escape Block Right), hide (View Screen), open (Gap Opening)" in added
+    assert "BV1: collider, attack, block_right (Escape Block Right), hide (View Screen)" in added
     assert "BV2: block_left (Escape Block Left), hide (View Screen), open (Gap Opening)" in added  # it may not collide
     assert f"- Squeeze: {WORDS} Parts: collider Shift, block_left Escape Block Left" in added
     assert "Blocked Escape" in added and "Box-in" not in added  # of three vehicles
@@ -98,6 +98,17 @@ def test_a_proposed_composition_comes_with_its_vehicles() -> None:
     assert asking.casts == (Cast(PINCH, ("right", "left")),)
 
 
+def test_a_vehicle_may_attack_as_well_with_an_intent_of_the_library() -> None:
+    both = team(COLLIDER, ("BV2", "attack", "Shift"))
+    asking = analyzer(Answers(answer(both)), Teamwork(2))
+    asking.analyze({0.0: SCENE}, [SHIFT])
+    (cast,) = asking.casts
+    assert [(str(part.duty), part.intent) for part in cast.composition.parts] == [
+        ("collider", "Shift"), ("attack", "Shift"),
+    ]  # fmt: skip
+    assert cast.vehicles == ("right", "left")
+
+
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
@@ -107,7 +118,7 @@ def test_a_proposed_composition_comes_with_its_vehicles() -> None:
         (team(COLLIDER, ("BV1", "block_right", "Escape Block Right")), "has two parts"),
         (team(COLLIDER, BLOCK, description="Two vehicles."), "needs a description"),
         (team(COLLIDER, ("V1", "block_left", "Escape Block Left")), "no vehicle 'V1' that may take part"),
-        (team(COLLIDER, ("BV2", "honk", "Horn")), "no role 'honk'; choose collider, block_left"),
+        (team(COLLIDER, ("BV2", "honk", "Horn")), "no role 'honk'; choose collider, attack, block_left"),
         (team(COLLIDER, ("BV2", "block_left", "Slow Leader")), "choose Escape Block Left, Oncoming Block Left"),
         (team(COLLIDER, ("BV2", "block_right", "Escape Block Right")), "BV2 cannot carry out 'Escape Block Right'"),
         (team(("BV2", "collider", "Shift"), ("BV1", "open", "Gap Opening")), "BV2 may not be the collider"),

@@ -335,3 +335,42 @@ def test_a_draft_with_a_faulty_move_is_refused(tmp_path: Path, moves: list[dict[
     drawn = scene(CROSSING, ego_on(*moves), other(("north_in", "south_out"), arrives=0))
     with pytest.raises(UsageError, match=says):
         build_scenario(drawn, tmp_path / "my.toml", WRITTEN)
+
+
+LANE_DROP = {"kind": "lane_drop", "lanes": 3, "ends": "right", "speed_limit": 100, "length": 600}
+RACE = {
+    "adversary": "first", "intents": ["Aggressive Cut-in"], "asked": {"events": ["enters_from_left"], "within": 3,
+    "level": "critical"}, "others": [{"adversary": "second", "intents": [], "asked": {"relation": "neighbour"}}],
+}  # fmt: skip
+
+
+def race(attack: dict[str, Any]) -> SceneDraft:
+    """Two cars beside each other behind the ego, whose lane ends."""
+    ego = {"route": ["before", "after"], "speed": 72, "lane": 0}
+    cars = [
+        {"id": name, "route": ["before", "after"], "speed": 80, "lane": lane, "gap": -15}
+        for name, lane in (("first", 1), ("second", 2))
+    ]
+    return scene(LANE_DROP, ego, *cars, attack=attack)
+
+
+def test_two_that_attack_together_are_in_the_scenario(tmp_path: Path) -> None:
+    made = load_input(build_scenario(race(RACE), tmp_path / "my.toml", WRITTEN))
+    assert [(each.id, each.intents) for each in made.attackers] == [
+        ("first", ("Aggressive Cut-in",)), ("second", ()),
+    ]  # fmt: skip
+    first, second = made.attackers
+    assert first.asked.events == ("enters_from_left",) and first.asked.level is None and first.asked.within is None
+    assert second.asked.relation == "neighbour"
+    assert made.asked is not None and (made.asked.level, made.asked.within) == ("critical", 3.0)
+    assert made.asked.events == ()
+    assert made.settings() == {"horizon": 10.0, "until": "critical", "adversaries": 2}
+
+
+def test_an_adversary_is_named_once_and_there_are_at_most_three(tmp_path: Path) -> None:
+    twice = RACE | {"others": [{"adversary": "first", "asked": {}}]}
+    with pytest.raises(UsageError, match="at most 3, each named once"):
+        build_scenario(race(twice), tmp_path / "my.toml", WRITTEN)
+    nobody = RACE | {"others": [{"adversary": "nobody", "asked": {}}]}
+    with pytest.raises(UsageError, match="names 'nobody', which is no vehicle"):
+        build_scenario(race(nobody), tmp_path / "my.toml", WRITTEN)

@@ -53,7 +53,7 @@ def test_a_cut_in_comes_from_the_left_and_brakes_after_it() -> None:
     happened = events(seen(cut_in()))
     assert happened == {Event.ENTERS_FROM_LEFT: 3.6, Event.BRAKES: 5.0}  # 3.6 - 1.2 * 1.6 = 1.68 < 0.9 + 0.9
     asked = Asked(events=(Event.ENTERS_FROM_LEFT, Event.BRAKES), relation=Relation.NEIGHBOUR)
-    assert misfits(asked, seen(cut_in())) == ()
+    assert misfits(compare(asked, seen(cut_in()))) == ()
 
 
 def test_a_vehicle_that_turns_into_the_way_comes_across_and_then_enters() -> None:
@@ -64,12 +64,12 @@ def test_a_vehicle_that_turns_into_the_way_comes_across_and_then_enters() -> Non
     assert events(seen(turner)) == {
         Event.CROSSES_FROM_RIGHT: 1.4, Event.ENTERS_FROM_RIGHT: 2.0, Event.TURNS_RIGHT: 2.0,
     }  # -10 + 5 * 1.4 = -3 > -2.4 - 0.9  # fmt: skip
-    assert misfits(Asked(events=(Event.ENTERS_FROM_RIGHT,)), seen(turner)) == ()
+    assert misfits(compare(Asked(events=(Event.ENTERS_FROM_RIGHT,)), seen(turner))) == ()
 
 
 def test_the_order_counts() -> None:
     asked = Asked(events=(Event.BRAKES, Event.ENTERS_FROM_LEFT))
-    (lack,) = misfits(asked, seen(cut_in()))
+    (lack,) = misfits(compare(asked, seen(cut_in())))
     assert lack.startswith("'enters_from_left' does not happen after 'brakes'")
 
 
@@ -129,7 +129,7 @@ def test_a_moving_lorry_hides_what_shoots_out_behind_it() -> None:
     hides, shows = seen(car, (lorry,)), seen(car)
     assert "From 1.5 s to 5.0 s A is hidden from EGO by something between them." in hides.words
     assert hides.hidden and not shows.hidden and "hidden" not in shows.words
-    assert misfits(Asked(hidden=True), hides) == () and len(misfits(Asked(hidden=True), shows)) == 1
+    assert misfits(compare(Asked(hidden=True), hides)) == () and len(misfits(compare(Asked(hidden=True), shows))) == 1
 
 
 def test_standing_and_red_lights() -> None:
@@ -141,14 +141,16 @@ def test_standing_and_red_lights() -> None:
 
 def test_who_it_is_and_what_is_hit() -> None:
     motion = seen(cut_in((12.0, 2.5)), side="left")
-    assert misfits(Asked(least_length=10, side="left", user=RoadUser.VEHICLE, most_speed_first=10), motion) == ()
-    lacks = misfits(
+    assert (
+        misfits(compare(Asked(least_length=10, side="left", user=RoadUser.VEHICLE, most_speed_first=10), motion)) == ()
+    )
+    lacks = misfits(compare(
         Asked(
             relation=Relation.LEADER, user=RoadUser.PEDESTRIAN, side="front", hidden=True, beside="right",
             least_length=13, most_speed_first=5,
         ),
         motion,
-    )  # fmt: skip
+    ))  # fmt: skip
     assert lacks == (
         "The adversary is a vehicle, not a pedestrian.", "The adversary is neighbour, not leader.",
         "The ego is hit at its left, not at its front.",
@@ -167,8 +169,8 @@ def test_the_words_hold_facts_and_no_names() -> None:
 
 def test_gentle_braking_has_a_bound() -> None:
     """It loses 4 m/s within a second: 4 m/s2."""
-    assert misfits(Asked(most_braking=4.1), seen(cut_in())) == ()
-    assert misfits(Asked(most_braking=3), seen(cut_in())) == (
+    assert misfits(compare(Asked(most_braking=4.1), seen(cut_in()))) == ()
+    assert misfits(compare(Asked(most_braking=3), seen(cut_in()))) == (
         "The adversary brakes with 4.0 m/s2, not with at most 3.",
     )
 

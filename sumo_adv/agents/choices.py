@@ -11,9 +11,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from sumo_adv.agents.teams import DUTY_DESCRIPTIONS, Teamwork
+from sumo_adv.agents.teams import ATTACKING, DUTY_DESCRIPTIONS, Teamwork
 from sumo_adv.agents.ways import first_of_each_mode
-from sumo_adv.datatypes import Duty, LibraryEntry
+from sumo_adv.datatypes import LibraryEntry
 from sumo_adv.llm.prompts import sanitize
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
@@ -45,7 +45,7 @@ def analysis_schema(
     if teamwork is not None:
         supports = [entry.label for duty in DUTY_DESCRIPTIONS for entry in SUPPORT_INTENTS[duty]]
         values["Member.bv"] = vehicles
-        values["Member.role"] = [str(Duty.COLLIDER), *map(str, DUTY_DESCRIPTIONS)]
+        values["Member.role"] = [*map(str, ATTACKING), *map(str, DUTY_DESCRIPTIONS)]
         values["Member.label"] = [*labels, *supports]
     free = answer_type.model_json_schema()
     schema = _with_values(free, values)

@@ -1,7 +1,7 @@
 """Compositions that a language model may propose: attacks by several adversaries, made of parts that it is told about.
 
 The analyzer is asked for them only if more than one adversary is allowed. A part is a vehicle, its role, and an intent:
-one of the library for the collider, one of ``SUPPORT_INTENTS`` for a support.
+one of the library for the collider and further attackers, one of ``SUPPORT_INTENTS`` for a support.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ DUTY_DESCRIPTIONS = {
     Duty.HIDE: "keeps between EGO and a collider that crosses or merges",
     Duty.OPEN: "makes room into which the collider can go",
 }
+ATTACKING = (Duty.COLLIDER, Duty.ATTACK)
 
 # The two classes below are sent to the model as a JSON schema, with their names and docstrings.
 
@@ -96,13 +97,14 @@ def teams_words(
         + "; ".join(f"{entry.label} ({entry.description})" for entry in SUPPORT_INTENTS[duty])
         for duty in DUTY_DESCRIPTIONS
     ]  # fmt: skip
+    roles.append(f"- {Duty.ATTACK}: attacks EGO as the collider does. Behaviours: those of the library.")
     fitting = []
     for alias, name in aliases.bvs.items():
         target = situation.targets[name]
         collides = teamwork.may_collide(name) and not is_unprotected(target.state)
         collides = collides and any(_applies(target, entry) for entry in library)
         may = [
-            *([str(Duty.COLLIDER)] if collides else []),
+            *(map(str, ATTACKING) if collides else ()),
             *(f"{duty} ({entry.label})" for duty in DUTY_DESCRIPTIONS for entry in SUPPORT_INTENTS[duty]
               if can_do_duty(duty, entry, target)),
         ]  # fmt: skip
@@ -174,18 +176,18 @@ def _member_fault(
     bv, role = sanitize(member.bv), sanitize(member.role)
     if member.bv not in aliases.bvs:
         return f"There is no vehicle '{bv}' that may take part; there are {', '.join(aliases.bvs)}."
-    if member.role not in (Duty.COLLIDER, *DUTY_DESCRIPTIONS):
-        return f"There is no role '{role}'; choose {', '.join((Duty.COLLIDER, *DUTY_DESCRIPTIONS))}."
+    if member.role not in (*ATTACKING, *DUTY_DESCRIPTIONS):
+        return f"There is no role '{role}'; choose {', '.join((*ATTACKING, *DUTY_DESCRIPTIONS))}."
     duty, name = Duty(member.role), aliases.bvs[member.bv]
-    entries = {e.label.lower(): e for e in (library if duty is Duty.COLLIDER else SUPPORT_INTENTS[duty])}
+    entries = {e.label.lower(): e for e in (library if duty in ATTACKING else SUPPORT_INTENTS[duty])}
     entry, target = entries.get(member.label.lower()), situation.targets[name]
     if entry is None:
         choices = ", ".join(e.label for e in entries.values())
         return f"'{sanitize(member.label)}' is no behaviour of the role {role}; choose {choices}."
-    if duty is not Duty.COLLIDER:
+    if duty not in ATTACKING:
         return None if can_do_duty(duty, entry, target) else f"{bv} cannot carry out '{entry.label}' from where it is."
     if not teamwork.may_collide(name):
-        return f"{bv} may not be the collider, only a support."
+        return f"{bv} may not be the collider or attack, only support."
     if is_unprotected(target.state):  # all adversaries of a candidate have the same limits
         return f"{bv} is a pedestrian or cyclist, and only vehicles have supports: choose another collider."
     return None if _applies(target, entry) else f"'{entry.label}' does not apply to {bv} from where it is."
@@ -193,7 +195,7 @@ def _member_fault(
 
 def _entry(member: Member, library: Sequence[LibraryEntry]) -> LibraryEntry:
     """Return the intent of a part."""
-    entries = library if member.role == Duty.COLLIDER else SUPPORT_INTENTS[Duty(member.role)]
+    entries = library if member.role in ATTACKING else SUPPORT_INTENTS[Duty(member.role)]
     return next(e for e in entries if e.label.lower() == member.label.lower())
 
 

@@ -303,6 +303,7 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
+    lines += [_attackers(result["attackers"])] if len(result.get("attackers", ())) > 1 else []
     asked = result.get("asked")
     if best is not None and asked is not None:
         lacks = " ".join(["no.", *asked["misfits"], held(asked["parts"])]).rstrip()
@@ -326,6 +327,15 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     lines += said_of([WarningKind(**kind) for kind in result.get("warnings", ())])
     lines.append(f"Files: {folder}")
     return "\n".join(lines)
+
+
+def _attackers(attackers: Sequence[Mapping[str, Any]]) -> str:
+    """Say what each of several attackers did."""
+    did = {"touched": "touched the ego", "forced": "forced the contact", "played": "attacked as well"}
+    each = (
+        f"{a['id']} {did[a['role']]}" + (f" (min TTC {a['min_ttc']:.1f} s)" if a["min_ttc"] else "") for a in attackers
+    )
+    return f"Attackers: {', '.join(each)}."
 
 
 def _result(result: Mapping[str, Any]) -> str:

@@ -225,6 +225,8 @@ def serve(
     if not output.as_json:
         for note in given.notes:
             typer.echo(note)
+    if given.attackers:
+        raise UsageError(f"{source} names vehicles that attack together, which serve cannot play: give it to run.")
     if settings.adversaries > 1 and client.real_time:
         raise UsageError(
             "With --real-time, nothing waits until supports are predicted, so it allows only one adversary: leave out "

@@ -14,9 +14,11 @@ from sumo_adv.datatypes.verdict import Diagnosis, Level, Verdict
 
 
 class Duty(StrEnum):
-    """What an adversary does in an attack. Exactly one adversary is the collider; the others support it."""
+    """What an adversary does in an attack. Exactly one adversary is the collider; the others attack as well, or support
+    it."""
 
     COLLIDER = "collider"  # it tries to collide with the ego
+    ATTACK = "attack"  # it tries the same, with an intent and a planner of its own
     BLOCK_LEFT = "block_left"  # it takes the room into which the ego would swerve to the left
     BLOCK_RIGHT = "block_right"  # the same to the right
     SLOW = "slow"  # it holds the ego up from ahead
@@ -24,7 +26,8 @@ class Duty(StrEnum):
     OPEN = "open"  # it makes room into which the collider can go
 
 
-MAX_ADVERSARIES = 3  # in one attack: a collider and two supports
+MAX_ADVERSARIES = 3  # in one attack: a collider and two others
+MAX_WAIT_S = 3.0  # how long an attacker may wait after the start of the attack
 
 
 class Relation(StrEnum):
@@ -215,7 +218,10 @@ class Proposal:
         prediction: The predicted outcome, or None.
         course: A motion that is driven as given, or None. If there is one, the planner only names its author.
         duty: What the vehicle does in the attack.
-        supports: The candidates of the other adversaries. Each has the same delay and no supports.
+        wait: How long after the start of the attack the planner is asked for the first time [s]. Until then, the
+            vehicle goes straight on in its lane at its speed.
+        supports: The candidates of the other adversaries, other attackers included. Each has the same delay and no
+            supports.
         composition: The label of the composed intent that all adversaries carry out together; empty for a single one.
         arrival: How the ego arrives. It differs from ``AS_FOUND`` only in a neighbour of an attack.
     """
@@ -231,6 +237,7 @@ class Proposal:
     prediction: Prediction | None = None
     course: PrescribedMotion | None = None
     duty: Duty = Duty.COLLIDER
+    wait: float = 0.0  # s after the delay
     supports: tuple[Proposal, ...] = ()
     composition: str = ""
     arrival: Arrival = AS_FOUND
@@ -244,6 +251,35 @@ class Proposal:
     def bvs(self) -> tuple[str, ...]:
         """The ids of all adversaries, the collider's first."""
         return tuple(p.bv for p in self.members)
+
+    @property
+    def attackers(self) -> tuple[str, ...]:
+        """The ids of the adversaries that attack, the collider's first; supports are not among them."""
+        return tuple(p.bv for p in self.members if p.duty in (Duty.COLLIDER, Duty.ATTACK))
+
+    def led_by(self, bv: str) -> Proposal:
+        """Return the same attack with another one of its attackers as the collider.
+
+        Args:
+            bv: The id of the attacker.
+        """
+        if bv == self.bv:
+            return self
+        lead = next(p for p in self.supports if p.bv == bv)
+        alone = replace(self, duty=Duty.ATTACK, supports=(), composition="")
+        return replace(
+            self, bv=bv, label=lead.label, planner=lead.planner, parameters=lead.parameters,
+            acceleration=lead.acceleration, course=lead.course, wait=lead.wait,
+            supports=(alone, *(p for p in self.supports if p.bv != bv)),
+        )  # fmt: skip
+
+    def without(self, bv: str) -> Proposal:
+        """Return the attack without one of the adversaries that are not the collider.
+
+        Args:
+            bv: The id of that adversary.
+        """
+        return replace(self, supports=tuple(p for p in self.supports if p.bv != bv))
 
     def as_adversary(self) -> dict[str, str]:
         """Return the vehicle's id, role, intent and mode as files and events contain them."""

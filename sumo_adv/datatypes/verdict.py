@@ -87,6 +87,31 @@ class Preventability:
         return tuple(name for name in avoids if not self.in_loop or self.in_loop.get(name) == "avoids")
 
 
+class AttackerRole(StrEnum):
+    """What an attacker did in an attempt."""
+
+    TOUCHED = "touched"  # the ego touched it first
+    FORCED = "forced"  # it did not touch the ego, but without its attack the ego touches no adversary
+    PLAYED = "played"  # neither, or that was not simulated
+
+
+@dataclass(frozen=True, slots=True)
+class AttackerResult:
+    """The result of one of the attackers of an attempt.
+
+    Attributes:
+        id: The id of the vehicle.
+        role: What it did.
+        min_ttc: The minimum TTC between it and the ego [s]; 0 after a contact, ``inf`` means never.
+        min_distance: The minimum distance between it and the ego [m]; 0 after a contact.
+    """
+
+    id: str
+    role: AttackerRole
+    min_ttc: float
+    min_distance: float
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """The verdict of ``metrics/verdict.py`` on one attempt.
@@ -123,6 +148,7 @@ class Verdict:
     injury_risk: float | None = None
     impact_speed: float | None = None  # m/s, at which a pedestrian or cyclist is hit; None for a vehicle
     misfits: tuple[str, ...] = ()  # differences from the requested attack, one sentence each
+    attackers: tuple[AttackerResult, ...] = ()  # the collider, which this verdict is on, first
 
     @property
     def counts(self) -> bool:

@@ -47,8 +47,8 @@ from sumo_adv.scenario_names import columns_of, is_one_of
 from sumo_adv.search.intents import labelled_by_motion
 from sumo_adv.search.sampling import kind_of
 from sumo_adv.situation import Situation
-from sumo_adv.words.fit import misfits
-from sumo_adv.words.motion import DescribedMotion, Scene, observe
+from sumo_adv.words.fit import compare_attackers, misfits
+from sumo_adv.words.motion import DescribedMotion, Scene, observe, words_of
 from sumo_adv.words.request import Reading, read_motion
 
 # -- running attempts -----------------------------------------------------------------------------------------------
@@ -265,8 +265,8 @@ def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
 # -- what was asked for ---------------------------------------------------------------------------------------------
 
 MAX_READINGS = 2  # maximum number of attempts of an encounter that a model reads
-Reader = Callable[[DescribedMotion], Reading]
-"""A reader reads a motion and returns whether it fits the request. It raises ModelError if it fails."""
+Reader = Callable[[str], Reading]
+"""A reader reads a motion in words and returns whether it fits the request. It raises ModelError if it fails."""
 
 
 @dataclass
@@ -275,6 +275,7 @@ class Fitting:
 
     Attributes:
         asked: The request, as rules compare it.
+        attackers: What is requested of each of several attackers, by id.
         found: The encounter.
         settings: The run's settings.
         reader: Reads the motion if the rules find no misfit; None if no model does.
@@ -282,6 +283,7 @@ class Fitting:
     """
 
     asked: Asked
+    attackers: Mapping[str, Asked]
     found: FoundEncounter
     settings: Settings
     reader: Reader | None = None
@@ -304,11 +306,13 @@ class Fitting:
         """
         if attempt.verdict.level < Level.CRITICAL and not goal.met(attempt.verdict):
             return attempt
-        motion = motion_of(attempt, result, self.found, self.settings)
-        lacks = ("The adversary or the ego was gone at once.",) if motion is None else misfits(self.asked, motion)
+        motions = motions_of(attempt, result, self.found, self.settings, tuple(self.attackers))
+        lacks: tuple[str, ...] = ("The adversary or the ego was gone at once.",)
+        if motions:
+            lacks = misfits(compare_attackers(self.asked, self.attackers, motions, attempt.proposal.bv))
         may_read = read and not lacks and goal.met(attempt.verdict) and len(self.readings) < MAX_READINGS
-        if may_read and motion is not None and self.reader is not None:
-            reading = self.readings[attempt.index] = self.reader(motion)
+        if may_read and self.reader is not None:
+            reading = self.readings[attempt.index] = self.reader(words_of(list(motions.values())))
             lacks = () if reading.fits else (reading.lacks or reading.happened,)
         lacks = tuple(dict.fromkeys((*attempt.verdict.misfits, *lacks)))
         return replace(attempt, verdict=replace(attempt.verdict, misfits=lacks))
@@ -328,45 +332,56 @@ def reader_of(agents: Agents, words: str) -> Reader | None:
         return None
     metered = MeteredModel(agents.models["analyzer"], agents.ledger)
 
-    def read(motion: DescribedMotion) -> Reading:
-        reading = read_motion(metered, agents.prompts, motion.words, words)
+    def read(motion: str) -> Reading:
+        reading = read_motion(metered, agents.prompts, motion, words)
         agents.bought.append(Bought("reader", "it fits" if reading.fits else "it does not fit"))
         return reading
 
     return read
 
 
-def motion_of(
-    attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings
-) -> DescribedMotion | None:
-    """Describe what happened in an attempt, from the takeover of the adversary to the contact.
+def motions_of(
+    attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings, attackers: Sequence[str] = ()
+) -> dict[str, DescribedMotion]:
+    """Describe what happened in an attempt, from the takeover of the adversaries to the contact.
 
     Args:
         attempt: The attempt.
         result: Its result.
         found: The encounter.
         settings: The run's settings.
+        attackers: The ids of several attackers; empty for the collider alone.
 
     Returns:
-        The motion; None if the ego or the adversary was gone at once, or if the adversary is no target of its
-        situation.
+        The motion of each attacker by id, without those that were gone at once or are no target of their situation.
+        Empty if the ego or the collider was.
     """
+    collider = attempt.proposal.bv
+    made = {name: _motion_of(name, attempt, result, found, settings) for name in attackers or (collider,)}
+    motions = {name: motion for name, motion in made.items() if motion is not None}
+    return motions if collider in motions else {}
+
+
+def _motion_of(
+    bv: str, attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings
+) -> DescribedMotion | None:
+    """Describe what one attacker did; return None if it or the ego was gone at once, or if it is no target."""
     p, start, end = attempt.proposal, result.start, attempt.verdict.contact_time
     situation = found.situations.get(p.delay)
-    target = None if situation is None else situation.targets.get(p.bv)
+    target = None if situation is None else situation.targets.get(bv)
     if situation is None or target is None:
         return None
     last = math.inf if end is None else end
     cut = {name: t.between(start, last) for name, t in result.tracks(settings.step_length).items()}
-    if found.ego not in cut or p.bv not in cut:
+    if found.ego not in cut or bv not in cut:
         return None
-    others = [t for name, t in cut.items() if name not in (found.ego, p.bv)]
-    first = found.first.targets.get(p.bv, target)
+    others = [t for name, t in cut.items() if name not in (found.ego, bv)]
+    first = found.first.targets.get(bv, target)
     return observe(
         Scene(
-            cut[found.ego], cut[p.bv], others, situation.baseline.path, first.relation, first.hidden,
-            attempt.verdict.contact_side if attempt.verdict.collided else None, start,
-            _runs_light(p.bv, situation, result, float(cut[p.bv].time[0]) if len(cut[p.bv].time) else start),
+            cut[found.ego], cut[bv], others, situation.baseline.path, first.relation, first.hidden,
+            attempt.verdict.contact_side if attempt.verdict.collided and bv == p.bv else None, start,
+            _runs_light(bv, situation, result, float(cut[bv].time[0]) if len(cut[bv].time) else start),
             sight_from(found, settings, start),
         )
     )  # fmt: skip
@@ -390,6 +405,8 @@ def attempt_of(
 ) -> Attempt:
     """Make an attempt from its result. An attempt whose planner failed is not feasible.
 
+    Of several attackers, the one that the verdict is on becomes the collider.
+
     Args:
         index: The index of the attempt in its encounter.
         phase: The phase of the run that made the attempt.
@@ -399,6 +416,8 @@ def attempt_of(
         settings: The run's settings.
     """
     verdict = result.verdict or NO_MOTION_VERDICT
+    if verdict.attackers:
+        proposal = proposal.led_by(verdict.attackers[0].id)
     if result.driven.ending == "planner_failed":
         failed = (*verdict.failed_gates, "planner_failed")
         verdict = replace(verdict, feasible=False, failed_gates=failed, level=Level.NONE)

@@ -22,10 +22,22 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.boxes import overlaps
+from sumo_adv.metrics.gates import CLOCK_SLACK_S
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Answer, AskOne, remembered
 from sumo_adv.planners.follower import Follower
-from sumo_adv.planners.trajectory import Motion, PathEndpoint, PathRow, Scalar, advance, one_of, pose, release, steer
+from sumo_adv.planners.trajectory import (
+    Motion,
+    PathEndpoint,
+    PathRow,
+    Scalar,
+    advance,
+    one_of,
+    pose,
+    release,
+    steer,
+    straight_on,
+)
 from sumo_adv.situation import Situation
 
 # -- controllers ----------------------------------------------------------------------------------------------------
@@ -70,6 +82,8 @@ class PrescribedAdversary:
 class PlannedAdversary:
     """An adversary that a planner leads along its ways, by endpoints or by its own trajectories.
 
+    While it waits for its start, it goes straight on.
+
     Attributes:
         situation: The situation at the takeover.
         limits: The limits of the adversary's motion.
@@ -79,7 +93,7 @@ class PlannedAdversary:
         last: The planner's last endpoint in the local frame; None before the first.
     """
 
-    def __init__(self, situation: Situation, name: str, limits: Limits, ask: AskOne) -> None:
+    def __init__(self, situation: Situation, name: str, limits: Limits, ask: AskOne, wait: float = 0.0) -> None:
         """Start from the motion at the takeover.
 
         Args:
@@ -87,12 +101,13 @@ class PlannedAdversary:
             name: The adversary's id.
             limits: The limits of the adversary's motion.
             ask: Asks the planner.
+            wait: How long after the takeover the planner is asked for the first time [s].
         """
         self.situation, self.limits = situation, limits
-        self._ask = ask
-        self.ground = AdversaryBatch([situation], [name])
+        self._ask, self._wait = ask, wait
+        self.ground = AdversaryBatch([situation], [name], [wait])
         self.motion = one_of(self.ground.begin(), 0)
-        self.goal = PathEndpoint(self.motion.s + 3 * self.motion.v, self.motion.d, self.motion.v, 3.0)
+        self.goal = straight_on(self.motion)
         self.last: Mapping[str, float] | None = None
         self._follower: Follower | None = None
         self._remarks: dict[str, str] = {}
@@ -128,6 +143,9 @@ class PlannedAdversary:
         Returns:
             None, or why the planner failed, as a sentence.
         """
+        if now < self._wait - CLOCK_SLACK_S:
+            self.goal = straight_on(self.motion)
+            return None
         s, d = self.situation.baseline.path.project(ego[0], ego[1], near=self._ego_station, reach=25.0)
         self._ego_station = s
         array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
@@ -215,7 +233,7 @@ def controller_of(situation: Situation, proposal: Proposal, limits: Limits, ask:
     """
     if proposal.course is not None:
         return PrescribedAdversary(situation, proposal.bv, proposal.course)
-    return PlannedAdversary(situation, proposal.bv, limits, ask)
+    return PlannedAdversary(situation, proposal.bv, limits, ask, proposal.wait)
 
 
 # -- the attempt ----------------------------------------------------------------------------------------------------

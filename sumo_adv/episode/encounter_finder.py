@@ -98,8 +98,7 @@ class EncounterFinder:
         if isinstance(found, NoEncounter):
             self.stop = Stop(found.ending, found.reason)
             return None
-        request = Request(self._run_input.asked, self._run_input.words)
-        record = EncounterRecord(found, self._settings.goal, prefix, lanes, request)
+        record = EncounterRecord(found, self._settings.goal, prefix, lanes, Request.of(self._run_input))
         self.records.append(record)
         self._tell("encounter", found)
         return record

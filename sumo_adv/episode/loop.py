@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from sumo_adv.agents.agents import Agents
-from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, reader_of, runner_of
@@ -22,8 +21,8 @@ from sumo_adv.episode.encounter_finder import OUT_OF_REACH, EncounterFinder, Tel
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.learning import BankView, learn
 from sumo_adv.episode.prepared_encounter import PreparedEncounter, analyze
-from sumo_adv.episode.refinement import Refinement, Refiner, settle_best
-from sumo_adv.episode.run import EncounterRecord, Keep, Run, Stop, forget
+from sumo_adv.episode.refinement import Refinement, Refiner, settle_best, settle_roles
+from sumo_adv.episode.run import EncounterRecord, Keep, Request, Run, Stop, forget
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
@@ -188,6 +187,10 @@ def _why_not(record: EncounterRecord, prepared: PreparedEncounter, settings: Set
         return "The analyzer sees nothing here that could be dangerous."
     if prepared.search:
         return ""
+    there = {name for situation in prepared.found.situations.values() for name in situation.targets}
+    gone = [each.id for each in prepared.attackers if each.id not in there]
+    if gone:
+        return f"{' and '.join(gone)} cannot attack here, and all attackers of the scene attack together."
     near = ", ".join(f"{name} ({relation})" for name, relation, _ in prepared.found.ranking)
     reason = "No intent of the library applies to any vehicle near"
     return f"{reason}: {near}." if near else f"{reason}."
@@ -217,9 +220,10 @@ def pursue(
     """
     record, prepared, library = decision.record, decision.prepared, decision.library
     assert library is not None
-    done, asked = Refinement(goal=settings.goal), record.request.asked
-    if asked is not None:
-        done.fitting = Fitting(asked, prepared.found, settings, reader_of(agents, record.request.words))
+    done, request = Refinement(goal=settings.goal), record.request
+    if request.asked is not None:
+        reader = reader_of(agents, request.words)
+        done.fitting = Fitting(request.asked, request.attackers, prepared.found, settings, reader)
     refiner = Refiner(
         runner, prepared.found, prepared.search, agents, library, settings, tell, another=another, ends_at=ends_at
     )  # fmt: skip
@@ -271,7 +275,7 @@ def replay_episode(
     record = recorded_encounter(finder, proposal, skips)
     if record is not None:
         runner = runner_of(engine, sandbox, record.found, settings)
-        done = attack_once(record.found, runner, settings, proposal, record.request.asked)
+        done = attack_once(record.found, runner, settings, proposal, record.request)
         finder.keep(given_attack(done.recorded(record), proposal, "replayed from a manifest"))
     return finder.run(isolation=sandbox.isolation)
 
@@ -289,7 +293,7 @@ def given_attack(record: EncounterRecord, proposal: Proposal, reason: str) -> En
 
 
 def attack_once(
-    found: FoundEncounter, runner: Attempts, settings: Settings, proposal: Proposal, asked: Asked | None
+    found: FoundEncounter, runner: Attempts, settings: Settings, proposal: Proposal, request: Request
 ) -> Refinement:
     """Run one given attempt and judge it.
 
@@ -300,7 +304,7 @@ def attack_once(
         runner: Runs the attempt.
         settings: The run's settings.
         proposal: The candidate to attempt.
-        asked: The request that the attempt is compared with; None without a request.
+        request: The request that the attempt is compared with, if it asks for anything.
 
     Returns:
         A refinement with this attempt alone. Its ending says whether the attempt meets the goal, or what failed.
@@ -309,11 +313,13 @@ def attack_once(
     with done.clock.part("attempts"):
         (result,) = runner.attempt([proposal])
         attempt = attempt_of(0, "replay", proposal, result, found, settings)
-    if asked is not None:
-        attempt = Fitting(asked, found, settings).judged(attempt, result, settings.goal)
+    if request.asked is not None:
+        fitting = Fitting(request.asked, request.attackers, found, settings)
+        attempt = fitting.judged(attempt, result, settings.goal)
     done.attempts, done.results = [attempt], [result]
     with done.clock.part("references"):
         settle_best(done, runner)
+        settle_roles(done, runner)
     if settings.goal.met(done.attempts[0].verdict):
         done.ending = Ending.GOAL_MET
     done.end_if_all_failed()

@@ -16,7 +16,7 @@ from sumo_adv.episode.attempt import Driven, attack, box_of, controller_of
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.references import WARM_UP_S, PlannedEgo, ReferenceEgo, avoids
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
-from sumo_adv.episode.verdict import first_judged, recorded_case, verdict_on
+from sumo_adv.episode.verdict import first_judged, recorded_case, verdict_of_attackers
 from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import Pose, wrap
 from sumo_adv.metrics.boxes import overlaps
@@ -80,7 +80,7 @@ class OpenEncounter:
         drive = self.drive
         start = self._begin(proposal)
         driven = self._attack(proposal, asks)
-        verdict = verdict_on(drive, self.found, self.settings, self.trigger_step, proposal.bvs, start, driven)
+        verdict = verdict_of_attackers(drive, self.found, self.settings, self.trigger_step, proposal, start, driven)
         snapshots = StoredSnapshots(drive.recording.snapshots[self.trigger_step :])
         return AttemptResult(
             driven, verdict, start, snapshots, dict(drive.simulation.fleet.sizes), drive.actions.total(),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.teams import Teamwork
+from sumo_adv.asked import Attacker
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Intent, LibraryEntry
 from sumo_adv.episode.clock import PartsClock
@@ -45,6 +46,7 @@ class PreparedEncounter:
         known: The intent recalled from a similar scene; None if there is none.
         selection: The intents that may be tried.
         teamwork: What an analyzer may compose; None if only one adversary is allowed.
+        attackers: The vehicles that attack together; empty for one collider.
         network: The name of the run's input.
         bandit: How the planners of each intent were ordered, for the manifest.
         timing: How long each part took [s].
@@ -58,6 +60,7 @@ class PreparedEncounter:
     known: Intent | None
     selection: Selection
     teamwork: Teamwork | None
+    attackers: Sequence[Attacker]
     network: str
     bandit: Sequence[Mapping[str, object]] = ()
     timing: Mapping[str, float] = field(default_factory=dict)
@@ -111,12 +114,13 @@ def _prepared(
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, task.ego_driver)
     library, bandit = read_library(bank, scene, settings.seed, found.situations, run_input.scripts)
-    predicts = forecast or found.first.baseline.model.known or evidence
+    together = run_input.attackers  # their candidates are not predicted, because a prediction knows one collider
+    predicts = not together and (forecast or found.first.baseline.model.known or evidence)
     log = task.playback
-    if settings.tuner == "builtin" and (not predicts or (log is not None and log.tracks is not None)):
+    if not together and settings.tuner == "builtin" and (not predicts or (log is not None and log.tracks is not None)):
         library = [*library, FREE]
     recalled = None
-    if settings.recall == "scene":
+    if settings.recall == "scene" and not together:
         with clock.part("recall"):
             recalled = recall(found, library, bank, selection, settings.limits.limits(), task.ego_driver)
     intent, first = (None, None) if recalled is None else recalled
@@ -124,11 +128,11 @@ def _prepared(
     search = AttackSearch(
         predictor, found.situations, library, weights, seed=settings.seed, goal=settings.goal, selection=selection,
         recalled=first, adversaries=settings.adversaries, colliders=task.colliders, compositions=known,
-        predicts=predicts,
+        attackers=together, predicts=predicts,
     )  # fmt: skip
     teamwork = Teamwork(settings.adversaries, task.colliders, known) if settings.adversaries > 1 else None
     return PreparedEncounter(
-        found, predictor, library, scene, search, intent, selection, teamwork, run_input.name, bandit
+        found, predictor, library, scene, search, intent, selection, teamwork, together, run_input.name, bandit
     )
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal, Verdict
+from sumo_adv.datatypes import AttackerRole, Attempt, Ending, Intent, Level, LibraryEntry, Proposal, Verdict
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, checked, confirmed, observed_motion
 from sumo_adv.episode.clock import PartsClock
 from sumo_adv.episode.neighbours import Robustness, holds, neighbours
@@ -124,6 +124,34 @@ def settle_best(done: Refinement, runner: Attempts) -> None:
             return
 
 
+def settle_roles(done: Refinement, runner: Attempts) -> None:
+    """Find which attackers forced the contact of the best attempt.
+
+    The attempt is simulated once more for each attacker that did not touch the ego, without its attack.
+
+    Args:
+        done: The attempts. The best one is replaced in it.
+        runner: Runs the simulations.
+    """
+    k = done.best
+    others = () if k is None or not runner.repeats else done.attempts[k].verdict.attackers[1:]
+    if k is None or not others or not done.attempts[k].verdict.collided:
+        return
+    attempt = done.attempts[k]
+    without = runner.attempt([attempt.proposal.without(each.id) for each in others])
+    settled = [
+        replace(each, role=AttackerRole.FORCED) if _missed(result) else each
+        for each, result in zip(others, without, strict=True)
+    ]
+    attackers = (attempt.verdict.attackers[0], *settled)
+    done.attempts[k] = replace(attempt, verdict=replace(attempt.verdict, attackers=attackers))
+
+
+def _missed(result: AttemptResult) -> bool:
+    """Return whether an attempt was judged and the ego touched no adversary in it."""
+    return result.verdict is not None and not result.verdict.collided
+
+
 class Refiner:
     """Runs the attempts of one encounter."""
 
@@ -195,6 +223,7 @@ class Refiner:
         done.end_if_all_failed()
         with done.clock.part("references"):
             settle_best(done, self._runner)
+            settle_roles(done, self._runner)
         best = done.best
         in_time = time.perf_counter() < self._ends_at
         if in_time and done.successes and best is not None and best not in done.robust and self._runner.repeats:
@@ -231,7 +260,7 @@ class Refiner:
         """Return the candidates to try next: the favourites first, then few at a time, later whole generations."""
         left = self._settings.attempts - len(done.attempts)
         if not done.attempts and self._favourites:
-            return self._favourites[:left]
+            return [self._search.completed(p) for p in self._favourites[:left]]
         if isinstance(optimizer, AttackSearch):
             with done.clock.part("modifier"):
                 self._modify(optimizer, done)
@@ -245,7 +274,8 @@ class Refiner:
             left,
         )
         plans = optimizer.propose(budget)
-        return plans or (self._repairs.next(_tried(done)) if isinstance(optimizer, FixedOrder) else [])
+        plans = plans or (self._repairs.next(_tried(done)) if isinstance(optimizer, FixedOrder) else [])
+        return [self._search.completed(p) for p in plans]
 
     def _try(self, plans: Sequence[Proposal], done: Refinement, began: float, optimizer: Optimizer) -> bool:
         """Run candidates; return whether enough kinds succeeded or the time is used up, and drop the rest then."""

@@ -29,11 +29,23 @@ class Request:
         asked: What must be true of the attack; None if no attack was requested.
         words: The request in words; empty if there are none.
         declined: Why the request cannot be played in the encounter; empty if it can.
+        attackers: What must be true of each of several attackers, by id; empty for one adversary.
     """
 
     asked: Asked | None = None
     words: str = ""
     declined: str = ""
+    attackers: Mapping[str, Asked] = field(default_factory=dict)
+
+    @staticmethod
+    def of(run_input: RunInput) -> Request:
+        """Return the request that an input makes.
+
+        Args:
+            run_input: The input.
+        """
+        attackers = {each.id: each.asked for each in run_input.attackers}
+        return Request(run_input.asked, run_input.words, attackers=attackers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +266,7 @@ class Run:
     def request(self) -> Request:
         """The request of the best record; without one, of the last record; without records, of the input."""
         record = self.best or (self.records[-1] if self.records else None)
-        return Request(self.run_input.asked, self.run_input.words) if record is None else record.request
+        return Request.of(self.run_input) if record is None else record.request
 
     @property
     def declined(self) -> bool:

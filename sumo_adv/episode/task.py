@@ -261,6 +261,7 @@ def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
     refuse_density(run_input, settings.density)
     if settings.ego_id is not None and settings.ego_id != run_input.ego and (run_input.moves or run_input.sight):
         raise UsageError(f"The moves and sight of {run_input.path} are those of its own ego: leave --ego-id out.")
+    _check_attackers(run_input, settings)
     routes = run_input.routes
     playback = with_background(run_input.playback, settings.background, replayed=settings.ego == "replay")
     begin = settings.begin if settings.begin is not None else run_input.begin
@@ -303,7 +304,7 @@ def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
     return Task(
         spec, settings, settings.ego_id or run_input.ego, run_input.ego_type, settings.ego,
         {**own, **settings.ego_parameters},
-        _adversaries(colliders, run_input.supports, settings.adversaries),
+        _adversaries(colliders, run_input.supports, settings.adversaries, together=bool(run_input.attackers)),
         None if trigger == "auto" else float(trigger), run_input.warm_up, end, playback,
         colliders=colliders, copies=copies, moves=run_input.moves, sight=run_input.sight,
     )  # fmt: skip
@@ -323,11 +324,25 @@ def empty_steps(begin: float, first: float, step: float) -> int:
     return max(0, math.floor((first - begin) / step) - 1)
 
 
-def _adversaries(colliders: tuple[str, ...], supports: tuple[str, ...], most: int) -> tuple[str, ...]:
+def _check_attackers(run_input: RunInput, settings: Settings) -> None:
+    """Check that all attackers that an input names can attack together."""
+    count = len(run_input.attackers)
+    if count and settings.adversary:
+        raise UsageError(f"{run_input.path} says which {count} vehicles attack: leave out --adversary.")
+    if count and settings.ask:
+        raise UsageError(f"{run_input.path} says what its {count} attackers do: leave out --ask.")
+    if count > settings.adversaries:
+        raise UsageError(f"In {run_input.path} {count} vehicles attack together: give --adversaries {count} or more.")
+
+
+def _adversaries(
+    colliders: tuple[str, ...], supports: tuple[str, ...], most: int, *, together: bool
+) -> tuple[str, ...]:  # fmt: skip
     """Return the vehicles that may be adversaries; empty means all.
 
-    If several adversaries are allowed and no supports are named, any vehicle may be a support.
+    If several adversaries are allowed and no supports are named, any vehicle may be a support. If the scene says which
+    vehicles attack together, no other vehicle may.
     """
-    if most == 1 or not colliders:
+    if most == 1 or not colliders or (together and not supports):
         return colliders
     return (*colliders, *(name for name in supports if name not in colliders)) if supports else ()

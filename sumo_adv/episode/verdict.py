@@ -3,16 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Track, Verdict
+from sumo_adv.datatypes import Proposal, Track, Verdict
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.reference.sight import SightLimits
-from sumo_adv.metrics.verdict import judge_attempt
+from sumo_adv.metrics.verdict import attackers_of, judge_attempt
 from sumo_adv.simulation.tracks import tracks_of
+
+
+def verdict_of_attackers(
+    drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, proposal: Proposal, start: float,
+    driven: Driven,
+) -> Verdict | None:  # fmt: skip
+    """Return the verdict that counts on the attempt that was just driven, with the result of each attacker.
+
+    Each attacker is judged with the others among the other vehicles (``verdict_on``).
+
+    Args:
+        drive: The simulation, with its recording.
+        found: The encounter.
+        settings: The settings of the run.
+        trigger_step: How many snapshots the recording had at the trigger.
+        proposal: The candidate.
+        start: When the attack began [s].
+        driven: How the attempt went.
+
+    Returns:
+        The verdict; None if the ego or all attackers left before they moved.
+    """
+    verdicts = {}
+    for name in proposal.attackers:
+        bvs = (name, *(bv for bv in proposal.bvs if bv != name))
+        verdict = verdict_on(drive, found, settings, trigger_step, bvs, start, driven)
+        if verdict is not None:
+            verdicts[name] = verdict
+    attackers = attackers_of(verdicts)
+    return replace(verdicts[attackers[0].id], attackers=attackers) if attackers else None
 
 
 def verdict_on(
@@ -44,7 +75,8 @@ def verdict_on(
         return None
     driver = own_reference(drive)
     return judge_attempt(
-        case, ttc_threshold=settings.critical_ttc, limits=settings.limits.of(case.adversary), driver=driver,
+        case, ttc_threshold=settings.critical_ttc, limits=settings.limits.of(case.adversary),
+        support_limits=settings.limits.of, driver=driver,
         all_drivers=settings.player("modifier") is not None or driver is not None,
     )  # fmt: skip
 

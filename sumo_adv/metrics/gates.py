@@ -8,7 +8,7 @@ Each slack covers only what sampling at 0.1 s and rounding to a millimetre can c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -275,6 +275,7 @@ def all_failed_gates(
     others: Sequence[Track],
     end: float,
     start: float,
+    support_limits: Callable[[Track], Limits] | None = None,
 ) -> tuple[str, ...]:
     """Return the gates that the adversary or one of its supports fails; see :func:`failed_gates`.
 
@@ -283,17 +284,19 @@ def all_failed_gates(
     Args:
         adversary: The track of the vehicle that collides with the ego.
         supports: The tracks of the supports, which are among the ``others``, too.
-        limits: The limits of their motion.
+        limits: The limits of the adversary's motion.
         on_road: Returns which points are drivable; None leaves out that gate.
         ego: The ego's track.
         others: The tracks of all vehicles near the ego.
         end: When the judged motion ends [s].
         start: When the judged motion begins [s].
+        support_limits: Returns the limits of a support's motion; None means those of the adversary.
     """
     failed = set(failed_gates(adversary, limits, on_road=on_road, ego=ego, others=others, end=end, start=start))
     for support in supports:
         third = [ego, adversary, *(t for t in others if t.id != support.id)]
-        failed |= set(failed_gates(support, limits, on_road=on_road, ego=ego, others=third, end=end, start=start))
+        own = limits if support_limits is None else support_limits(support)
+        failed |= set(failed_gates(support, own, on_road=on_road, ego=ego, others=third, end=end, start=start))
     return tuple(name for name in GATES if name in failed)
 
 

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sumo_adv.datatypes import Boxes, Floats, Limits, Preventability, Track, Verdict
+from sumo_adv.datatypes import (
+    AttackerResult,
+    AttackerRole,
+    Boxes,
+    Floats,
+    Limits,
+    Preventability,
+    Track,
+    Verdict,
+)
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import at_time, first_contact, gap, on_grid, row_of, some_steps
 from sumo_adv.metrics.case import Case
@@ -29,6 +38,7 @@ def judge_attempt(
     *,
     ttc_threshold: float = 1.0,
     limits: Limits = Limits(),  # noqa: B008 - frozen
+    support_limits: Callable[[Track], Limits] | None = None,
     driver: str | None = None,
     all_drivers: bool = True,
 ) -> Verdict:
@@ -38,6 +48,7 @@ def judge_attempt(
         case: The recorded attempt. Its tracks begin at least two steps before the attack.
         ttc_threshold: An attempt is critical if its minimum TTC is at most this [s].
         limits: The limits of the adversary's motion.
+        support_limits: Returns the limits of a support's motion; None means those of the adversary.
         driver: The reference driver that drove the ego, if one did. It counts as one that has not avoided the
             collision.
         all_drivers: Whether to run every reference driver. Otherwise, only the drivers that the level depends on are
@@ -58,6 +69,7 @@ def judge_attempt(
     gates = all_failed_gates(
         adversary, case.supports, limits, on_road=case.on_road, ego=ego, others=case.others, end=stop,
         start=case.start + pair.dt / 2,  # SUMO itself drove up to the state at the trigger
+        support_limits=support_limits,
     )  # fmt: skip
     verdict = Verdict(
         min_ttc=min_ttc,
@@ -91,6 +103,27 @@ def judge_attempt(
             severity=str(impact.severity), injury_risk=impact.injury_risk, overlap=impact.overlap,
             impact_speed=impact.impact_speed,
         )
+    )  # fmt: skip
+
+
+def attackers_of(verdicts: Mapping[str, Verdict]) -> tuple[AttackerResult, ...]:
+    """Return the result of each attacker of an attempt, the one whose verdict counts first.
+
+    The verdict that counts is that of the attacker that the ego touches first or, without a contact, that of the one
+    with the smallest minimum TTC.
+
+    Args:
+        verdicts: The verdict on each attacker, with the others among the other vehicles, by the attacker's id.
+    """
+    never = float("inf")
+    times = {name: never if v.contact_time is None else v.contact_time for name, v in verdicts.items()}
+    order = sorted(verdicts, key=lambda name: (times[name], verdicts[name].min_ttc))
+    return tuple(
+        AttackerResult(
+            name, AttackerRole.TOUCHED if k == 0 and times[name] < never else AttackerRole.PLAYED,
+            verdicts[name].min_ttc, verdicts[name].min_distance,
+        )
+        for k, name in enumerate(order)
     )  # fmt: skip
 
 

@@ -47,13 +47,15 @@ class AdversaryBatch:
         cap: The vehicles' highest speeds [m/s], ``(n,)``.
     """
 
-    def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
+    def __init__(self, situations: Sequence[Situation], names: Sequence[str], waits: Sequence[float] = ()) -> None:
         """Put each vehicle on its first way.
 
         Args:
             situations: The situation of each vehicle.
             names: The BV id of each vehicle. Ids may repeat.
+            waits: How long each vehicle waits before its planner is asked [s]; empty if none waits.
         """
+        self._waits = waits or [0.0] * len(names)
         self.scenes = SituationBatch(situations)
         self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
         unique = list({id(t): t for t in self.targets}.values())
@@ -264,7 +266,7 @@ class AdversaryBatch:
 
         Args:
             motion: The vehicles' motion.
-            now: The time since the trigger [s].
+            now: The time since the trigger [s]; planners get the time since their own start.
             ego: Station [m], offset [m], speed [m/s] and acceleration [m/s2] of the egos, each ``(n,)``.
             last: The last endpoint of each vehicle, or None.
             rows: The vehicles that are observed; None means all.
@@ -302,7 +304,7 @@ class AdversaryBatch:
                 "x": bv_x, "y": bv_y, "heading": h, "speed": v, "acceleration": a, "travelled": travelled,
                 "offset": offset, "ahead": ahead, "left": left, "relative_heading": relative,
                 "road_heading": road_heading, "target_left": target, "lateral_time": time, "speed_along": along,
-                "length": state.length, "width": state.width, "time": now, "last": last[k],
+                "length": state.length, "width": state.width, "time": now - self._waits[k], "last": last[k],
             }, {
                 "x": ego_x, "y": ego_y, "heading": heading, "speed": speed, "acceleration": acceleration,
                 "length": length, "width": width, "path": path, "arrivals": meet[k][: self._count[k]],

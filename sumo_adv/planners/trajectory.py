@@ -126,6 +126,18 @@ class PathEndpoint(NamedTuple):
     time: Any
 
 
+STRAIGHT_ON_S = 3.0  # s ahead; the goal of a vehicle that keeps its speed and offset
+
+
+def straight_on(motion: Motion) -> PathEndpoint:
+    """Return the goal of a vehicle that goes straight on at its speed, without a planner.
+
+    Args:
+        motion: The present motion, of one vehicle or of many.
+    """
+    return PathEndpoint(motion.s + motion.v * STRAIGHT_ON_S, motion.d, motion.v, motion.v * 0 + STRAIGHT_ON_S)
+
+
 class PathRow:
     """Look-ups on one path with floats."""
 

@@ -15,6 +15,7 @@ from sumo_adv.episode.assessment import attempt_of, checked, runner_of
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.loop import attack_once
 from sumo_adv.episode.refinement import Refinement, settle_best
+from sumo_adv.episode.run import Request
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.at_trigger import AtTrigger
@@ -75,7 +76,7 @@ def attack(
         The attempts, whose best one is confirmed, and how the ego arrived.
     """
     came, runner = arrived(case, encounter), runner_of(engine, sandbox, encounter, settings)
-    done = attack_once(encounter, runner, settings, case.proposal, case.run_input.asked)
+    done = attack_once(encounter, runner, settings, case.proposal, Request.of(case.run_input))
     most = max(attempts, NEARBY_ATTEMPTS if came.otherwise else 1)
     if most == 1:
         return done, came

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from sumo_adv.config import MAX_ATTACK_DELAY_S, load_settings
-from sumo_adv.datatypes import MAX_ADVERSARIES, Duty, Level, Proposal, acceleration_of
+from sumo_adv.datatypes import MAX_ADVERSARIES, MAX_WAIT_S, Duty, Level, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
 from sumo_adv.files import refuse_links
 from sumo_adv.parsing import first_fault, read_toml
@@ -70,6 +70,7 @@ class _Member(_Table):
     mode: str
     origin: str
     acceleration: Any
+    wait: Annotated[float, Field(ge=0.0, le=MAX_WAIT_S)] = 0.0
     parameters: dict[str, float] = Field(default_factory=dict)
 
 
@@ -237,7 +238,7 @@ def _proposal(file: Path, planner: str, member: _Member, delay: float) -> Propos
         raise UsageError(f"{file} has the parameter '{unknown[0]}', which the planner does not have.")
     return Proposal(
         member.adversary, member.intent, made, numbers, acceleration, delay, by="kept",
-        duty=member.role if isinstance(member, _Support) else Duty.COLLIDER,
+        duty=member.role if isinstance(member, _Support) else Duty.COLLIDER, wait=member.wait,
     )  # fmt: skip
 
 

@@ -259,7 +259,7 @@ def _case(
         "origin": p.planner.origin, "delay": p.delay, "acceleration": plain_acceleration(p.acceleration),
         "ego_driven_from": encounter.get("driven_from") if task.ego is None else task.driven_from,
         "ego_before": [list(each) for each in before] or None,
-        "network": hash_of(task.spec.network), "composition": p.composition or None,
+        "network": hash_of(task.spec.network), "composition": p.composition or None, "wait": p.wait or None,
     }  # fmt: skip
     expected = {k: v for k, v in expect.model_dump().items() if v not in (None, False)}
     observed = {"ego": task.ego_driver} | {k: verdict.get(k) for k in FOUND}
@@ -281,6 +281,7 @@ def _supports(p: Proposal, relations: Mapping[str, str]) -> Sequence[str]:
         written = {
             "adversary": q.bv, "role": str(q.duty), "relation": relations[q.bv], "intent": q.label,
             "mode": q.planner.mode, "origin": q.planner.origin, "acceleration": plain_acceleration(q.acceleration),
+            "wait": q.wait or None,
         }  # fmt: skip
         parameters = toml_lines(dict(q.parameters))
         lines += ["[[attack.supports]]", *toml_lines(written), "[attack.supports.parameters]", *parameters, ""]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.asked import Asked
+from sumo_adv.asked import Asked, Attacker
 from sumo_adv.config import MAX_ATTACK_DELAY_S, Settings, load_settings
-from sumo_adv.datatypes import Duty, Proposal, acceleration_of
+from sumo_adv.datatypes import MAX_WAIT_S, Duty, Proposal, acceleration_of
 from sumo_adv.ego_way import EgoMove, SightStretch
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
@@ -105,6 +105,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> RecordedRun:
     run_input = RunInput(
         name=m["name"], path=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
         asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
+        attackers=tuple(Attacker.model_validate(each) for each in m.get("attackers", ())),
         conversion=conversion, notes=tuple(m.get("notes", ())),
         waymo=waymo_source(m),
     )  # fmt: skip
@@ -121,9 +122,16 @@ def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Prop
     numbers = {str(k): float(v) for k, v in a["parameters"].items()}
     return Proposal(
         a["bv"], a["label"], planner, numbers, acceleration_of(a["acceleration"]), a["delay"], a["by"],
-        duty=Duty(a.get("role", Duty.COLLIDER)), composition=a.get("composition", ""),
+        duty=Duty(a.get("role", Duty.COLLIDER)), wait=_wait(a.get("wait", 0.0)), composition=a.get("composition", ""),
         supports=tuple(_proposal(folder, q, planners) for q in a.get("supports", ())),
     )  # fmt: skip
+
+
+def _wait(value: Any) -> float:
+    """Return how long an attacker waits [s]; raise ValueError if it is too long."""
+    if not 0.0 <= value <= MAX_WAIT_S:
+        raise ValueError(f"its wait of {value} s is none")
+    return float(value)
 
 
 def _settings(recorded: dict[str, Any]) -> dict[str, Any]:

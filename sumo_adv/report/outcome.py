@@ -15,6 +15,7 @@ from sumo_adv.agents.agents import AGENT_ROLES, BUILT_IN_AGENTS, Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import (
     ENDING_SENTENCES,
+    AttackerResult,
     Attempt,
     Duty,
     Intent,
@@ -24,7 +25,7 @@ from sumo_adv.datatypes import (
     Verdict,
     plain_acceleration,
 )
-from sumo_adv.episode.assessment import motion_of
+from sumo_adv.episode.assessment import motions_of
 from sumo_adv.episode.run import EncounterRecord, Request, Run, seconds_by_part
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
@@ -33,7 +34,8 @@ from sumo_adv.scenario_names import columns_of
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.simulation.warnings_log import kinds_of
-from sumo_adv.words.fit import compare
+from sumo_adv.words.fit import Part, compare_attackers, misfits
+from sumo_adv.words.motion import DescribedMotion, words_of
 
 MANIFEST_SCHEMA = 1
 ATTACKS = "attacks"  # a run's folder has one folder in it for each further kind of attack, by attempt number
@@ -69,6 +71,7 @@ def outcome(
         "network": run.run_input.name, "seed": settings.seed,
         "ego": {"id": encounter.ego if encounter else chosen, "controller": task.ego_driver},
         "adversaries": [p.as_adversary() for p in best.proposal.members] if best else [],
+        "attackers": [] if best is None else [_attacker(each) for each in best.verdict.attackers],
         "trigger_time": number(best.trigger_time) if best else None,
         "encounter": None if encounter is None else _encounter(encounter),
         "agents": _agents(run),
@@ -97,6 +100,11 @@ def outcome(
         "warnings": [asdict(kind) for kind in kinds_of(run.warnings)],
         "asked": _asked(run.request if record is None else record.request, record, settings),
     }  # fmt: skip
+
+
+def _attacker(attacker: AttackerResult) -> dict[str, Any]:
+    """Return the result of one attacker in the attempt that counts."""
+    return {"id": attacker.id, "role": str(attacker.role), "min_ttc": number(attacker.min_ttc)}
 
 
 def timing(run: Run, record: EncounterRecord | None, writing: Mapping[str, float]) -> dict[str, float | None]:
@@ -139,18 +147,33 @@ def _asked(request: Request, record: EncounterRecord | None, settings: Settings)
     """Describe what was asked for, and whether the attempt that counts fits; return None if nothing was asked for."""
     if request.asked is None:
         return None
-    best = motion = reading = None
+    best = reading = None
+    motions: dict[str, DescribedMotion] = {}
+    parts: tuple[Part, ...] = ()
+    lacks: tuple[str, ...] = ()
     if record is not None and (best := record.best) is not None:
-        motion = motion_of(best, record.results[best.index], record.found, settings)
+        of = tuple(request.attackers)
+        motions = motions_of(best, record.results[best.index], record.found, settings, of)
         reading = record.readings.get(best.index)
-    parts = () if motion is None else compare(request.asked, motion)
-    lacks = () if best is None or motion is None else best.verdict.misfits or [p.says for p in parts if not p.holds]
+    if best is not None and motions:
+        parts = compare_attackers(request.asked, request.attackers, motions, best.proposal.bv)
+        lacks = best.verdict.misfits or misfits(parts)
     return {
-        "words": request.words or None, "attack": request.asked.model_dump(mode="json", exclude_defaults=True),
-        "fits": motion is not None and not lacks, "misfits": list(lacks), "parts": [asdict(part) for part in parts],
-        "motion": None if motion is None else motion.words,
+        "words": request.words or None, **_requested(request),
+        "fits": bool(motions) and not lacks, "misfits": list(lacks), "parts": [asdict(part) for part in parts],
+        "motion": words_of(list(motions.values())) if motions else None,
         "reading": None if reading is None else reading.model_dump(mode="json"),
     }  # fmt: skip
+
+
+def _requested(request: Request) -> dict[str, Any]:
+    """Return what must be true of the attack and, of several attackers, of each."""
+    assert request.asked is not None
+    attack = request.asked.model_dump(mode="json", exclude_defaults=True)
+    if not request.attackers:
+        return {"attack": attack}
+    each = {name: own.model_dump(mode="json", exclude_defaults=True) for name, own in request.attackers.items()}
+    return {"attack": attack, "attackers": each}
 
 
 def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
@@ -283,13 +306,14 @@ def _attempt(a: Attempt) -> dict[str, Any]:
 
 
 def _composed(p: Proposal) -> dict[str, Any]:
-    """Return the additional keys of an attempt with supports: the composition's label, and each support."""
+    """Return the additional keys of an attempt with supports: the composition's label, each support, and the waits."""
     if not p.supports:
         return {}
     supports: list[dict[str, Any]] = [
-        {**q.as_adversary(), "parameters": {k: number(v) for k, v in q.parameters.items()}} for q in p.supports
+        {**q.as_adversary(), "parameters": {k: number(v) for k, v in q.parameters.items()}, "wait": q.wait}
+        for q in p.supports
     ]
-    return {"composition": p.composition, "supports": supports}
+    return {"composition": p.composition, "supports": supports, "wait": p.wait}
 
 
 def _successes(record: EncounterRecord) -> list[dict[str, Any]]:
@@ -346,6 +370,7 @@ def manifest(run: Run, record: EncounterRecord | None, inputs: Mapping[Path, str
         "skips": run.encounters_before(record),
         "intents_allowed": list(run_input.intents), "words": request.words or None,
         "asked": None if request.asked is None else request.asked.model_dump(mode="json", exclude_defaults=True),
+        "attackers": [each.model_dump(mode="json", exclude_defaults=True) for each in run_input.attackers],
         "bank_hash": run.bank_hash, "bandit": [] if record is None else list(record.bandit),
         "model_answers": None if model_agents is None else MODEL_FILE,
         "prompts": None if model_agents is None else model_agents.prompts.versions,
@@ -374,4 +399,6 @@ def _proposal(p: Proposal) -> dict[str, Any]:
     }  # fmt: skip
     if p.supports:
         written |= {"composition": p.composition, "supports": [_proposal(q) for q in p.supports]}
+    if p.wait > 0.0:
+        written["wait"] = p.wait
     return written if p.duty is Duty.COLLIDER else {**written, "role": str(p.duty)}

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sumo_adv.datatypes import AS_FOUND, Duty, Level, Proposal, Verdict
+from sumo_adv.datatypes import AS_FOUND, MAX_WAIT_S, Duty, Level, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.search.sampling import (
     EMERGENCY_BRAKING_LABEL,
@@ -27,6 +27,7 @@ from sumo_adv.search.sampling import (
     Sampler,
     originals,
     varied,
+    varied_in_one,
 )
 from sumo_adv.search.settings import FULL_WARNING_S, MAX_COUNTED_DISTANCE_M, MAX_COUNTED_TTC_S, EvolutionSettings
 from sumo_adv.search.supports import Supports
@@ -50,15 +51,14 @@ def badness(verdict: Verdict, goal: Goal) -> float:
     """
     if goal.ttc is not None:
         return _off_band(verdict, goal.ttc)
-    distance, ttc = min(verdict.min_distance, MAX_COUNTED_DISTANCE_M), min(verdict.min_ttc, MAX_COUNTED_TTC_S)
-    gap = (distance / MAX_COUNTED_DISTANCE_M + ttc / MAX_COUNTED_TTC_S) / 2
+    gap = _gap(verdict.min_distance, verdict.min_ttc)
     if not verdict.counts:
         return 6.0 + gap
     if not verdict.collided:
         return 5.0 - float(verdict.level) + gap
     delta_v, level = verdict.delta_v or 0.0, goal.reached(verdict)
-    if verdict.misfits:
-        return 4.0 + gap
+    if verdict.misfits:  # of several attackers, all are to come near the ego
+        return 4.0 + gap + max((_gap(a.min_distance, a.min_ttc) for a in verdict.attackers[1:]), default=0.0)
     if level < verdict.level:  # the collision is milder than wanted
         return 4.0 - min(delta_v / goal.min_delta_v, 1.0) / 2
     hard, human = min(delta_v / MAX_COUNTED_DELTA_V_M_S, 1.0), float(bool(verdict.humanlike))
@@ -66,6 +66,12 @@ def badness(verdict: Verdict, goal: Goal) -> float:
     if level < Level.STRICT:
         return 5.0 - float(level) - 0.5 * warning - 0.2 * human - 0.1 * overlap - 0.1 * hard
     return 5.0 - float(level) - 0.1 * warning - 0.2 * human - 0.1 * overlap - 0.5 * hard
+
+
+def _gap(distance: float, ttc: float) -> float:
+    """Rate how near a vehicle came by its minimum distance [m] and TTC [s]: 0 is a contact, 1 is far away."""
+    near, soon = min(distance, MAX_COUNTED_DISTANCE_M), min(ttc, MAX_COUNTED_TTC_S)
+    return (near / MAX_COUNTED_DISTANCE_M + soon / MAX_COUNTED_TTC_S) / 2
 
 
 def _off_band(verdict: Verdict, band: tuple[float, float]) -> float:
@@ -118,8 +124,8 @@ class _Tries:
 
 
 def _place(p: Proposal) -> tuple[float, ...]:
-    """Return the parameters as shares of their ranges; start and braking as shares of ``START_SCALE_S`` and
-    ``BRAKING_SCALE_M_S2``.
+    """Return the parameters and the waits of attackers as shares of their ranges; start and braking as shares of
+    ``START_SCALE_S`` and ``BRAKING_SCALE_M_S2``.
     """
     numbers = [
         (p.parameters.get(q.name, q.default) - q.low) / (q.high - q.low)
@@ -128,7 +134,8 @@ def _place(p: Proposal) -> tuple[float, ...]:
         if q.high > q.low
     ]
     braking = p.acceleration if isinstance(p.acceleration, float) else 0.0
-    return (*numbers, p.delay / START_SCALE_S, braking / BRAKING_SCALE_M_S2)
+    waits = [each.wait / MAX_WAIT_S for each in p.supports if each.duty is Duty.ATTACK]
+    return (*numbers, p.delay / START_SCALE_S, braking / BRAKING_SCALE_M_S2, *waits)
 
 
 @dataclass(slots=True)
@@ -297,7 +304,8 @@ class Evolution:
         ordered = sorted(elites, key=lambda e: e.worth)[: settings.parents]
         weights = [settings.pressure**k for k in range(len(ordered))]
         parent = self._random.choices(ordered, weights)[0]
-        child = varied(parent.proposal, self._random, parent.step)
+        vary = varied if len(parent.proposal.attackers) == 1 else varied_in_one
+        child = vary(parent.proposal, self._random, parent.step)
         if self._random.random() < settings.other_start:
             child = self._begun_elsewhen(child)
         child = self._accompanied(child, parent.escape)

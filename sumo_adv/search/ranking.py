@@ -56,7 +56,7 @@ def unpredicted_intents(templates: Sequence[AttackTemplate]) -> list[Intent]:
     """
     first = {(t.target.state.id, t.entry.label): t for t in reversed(templates)}
     ordered = sorted(first.values(), key=lambda t: (-t.target.risk, t.target.state.id, t.entry.label))
-    reason = "not predicted: the driver is not known, so only attempts show how it reacts"
+    reason = "not predicted, so attempts show how the driver reacts"
     return [
         Intent(t.target.state.id, t.entry.label, t.entry.description, "medium", t.proposal(None).acceleration, reason)
         for t in ordered

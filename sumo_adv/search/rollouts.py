@@ -15,10 +15,22 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, Limits, Proposal
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.errors import PlannerResultError
+from sumo_adv.metrics.gates import CLOCK_SLACK_S
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Answer, PlannerObservation, remembered
 from sumo_adv.planners.follower import Follower
-from sumo_adv.planners.trajectory import Batch, Motion, PathEndpoint, advance, one_of, pose, put_back, release, steer
+from sumo_adv.planners.trajectory import (
+    Batch,
+    Motion,
+    PathEndpoint,
+    advance,
+    one_of,
+    pose,
+    put_back,
+    release,
+    steer,
+    straight_on,
+)
 from sumo_adv.situation import Situation
 
 Ask = Callable[[Sequence[int], Sequence[PlannerObservation]], Sequence[Answer | None]]
@@ -76,11 +88,12 @@ def predict(
         The predicted motions.
     """
     members, n = lined_up(proposals), len(proposals)
-    ground, each = AdversaryBatch([situations[p.delay] for p in members], [p.bv for p in members]), len(members) // n
+    waits, each = np.array([p.wait for p in members]), len(members) // n
+    ground = AdversaryBatch([situations[p.delay] for p in members], [p.bv for p in members], waits.tolist())
     scenes, dt = ground.scenes, ground.scenes.dt
     width = np.array([t.state.width for t in ground.targets])
     motion, egos = ground.begin(), PredictedEgos(scenes, ground.length, width, each)
-    goal = PathEndpoint(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
+    goal = straight_on(motion)
     last: list[Mapping[str, float] | None] = [None] * len(members)
     adversary, ego = np.empty((steps, 4, len(members))), np.empty((steps, 4, n))
     followers: dict[int, Follower] = {}
@@ -89,7 +102,11 @@ def predict(
     for k in range(steps):
         moment = k * dt
         if k % replan == 0 and not over.all():
-            rows = np.flatnonzero(np.tile(~over, each)).tolist()
+            waiting = moment < waits - CLOCK_SLACK_S
+            if waiting.any():
+                on = straight_on(motion)
+                goal = PathEndpoint(*(np.where(waiting, new, old) for new, old in zip(on, goal, strict=True)))
+            rows = np.flatnonzero(np.tile(~over, each) & ~waiting).tolist()
             mean = egos.a if k == 0 else (egos.v - speed_before) / (replan * dt)  # as in an attempt
             own = tuple(np.tile(q, each) for q in (egos.s, np.zeros(n), egos.v, mean))
             goal, motion = _replan(ground, motion, own, goal, last, followers, moment, rows, ask)  # type: ignore[arg-type]

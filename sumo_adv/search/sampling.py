@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import Protocol
 
-from sumo_adv.datatypes import LibraryEntry, Planner, Proposal
+from sumo_adv.datatypes import MAX_WAIT_S, Duty, LibraryEntry, Planner, Proposal
 from sumo_adv.search.settings import SamplingSettings
 from sumo_adv.situation import Situation, Target
 
@@ -227,8 +227,23 @@ def varied(p: Proposal, random: Random, spread: float) -> Proposal:
     return moved(p, lambda: random.gauss(0.0, spread))
 
 
+def varied_in_one(p: Proposal, random: Random, spread: float) -> Proposal:
+    """Vary one adversary of a candidate, as ``varied`` does, and keep the others.
+
+    Args:
+        p: The candidate.
+        random: The random generator.
+        spread: The standard deviation, as a share of a parameter's range.
+    """
+    k = random.randrange(len(p.members))
+    if k == 0:
+        return replace(varied(replace(p, supports=()), random, spread), supports=p.supports)
+    supports = (*p.supports[: k - 1], varied(p.supports[k - 1], random, spread), *p.supports[k:])
+    return replace(p.unscored(), by="tuner", supports=supports)
+
+
 def moved(p: Proposal, step: Callable[[], float]) -> Proposal:
-    """Move each parameter of a candidate and its supports, and keep it within its bounds.
+    """Move each parameter of a candidate and its supports, and the wait of each attacker, within its bounds.
 
     Args:
         p: The candidate.
@@ -241,8 +256,11 @@ def moved(p: Proposal, step: Callable[[], float]) -> Proposal:
     for q in p.planner.parameters:
         value = p.parameters.get(q.name, q.default) + step() * (q.high - q.low)
         numbers[q.name] = round(min(max(value, q.low), q.high), 4)
+    wait = p.wait
+    if wait > 0.0 or p.duty is Duty.ATTACK:
+        wait = round(min(max(wait + step() * MAX_WAIT_S, 0.0), MAX_WAIT_S), 2)
     supports = tuple(moved(support, step) for support in p.supports)
-    return replace(p.unscored(), parameters=numbers, by="tuner", supports=supports)
+    return replace(p.unscored(), parameters=numbers, by="tuner", supports=supports, wait=wait)
 
 
 def originals(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:

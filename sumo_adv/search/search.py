@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from random import Random
 
+from sumo_adv.asked import Attacker
 from sumo_adv.datatypes import AS_FOUND, Duty, Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.memory.records import Composition
@@ -37,7 +38,7 @@ class AttackSearch:
         self, scorer: Scorer, situations: Mapping[float, Situation], library: Sequence[LibraryEntry],
         settings: SearchSettings, *, seed: int, goal: Goal | None = None, selection: Selection | None = None,
         recalled: Proposal | None = None, adversaries: int = 1, colliders: Collection[str] = (),
-        compositions: Sequence[Composition] = (), predicts: bool = True,
+        compositions: Sequence[Composition] = (), attackers: Sequence[Attacker] = (), predicts: bool = True,
     ) -> None:  # fmt: skip
         """Predict the first candidates.
 
@@ -54,6 +55,7 @@ class AttackSearch:
             adversaries: The maximum number of adversaries of a candidate.
             colliders: The vehicles that may be the collider; empty allows all.
             compositions: Composed intents that the bank knows.
+            attackers: The vehicles that attack together in each candidate; empty for one collider.
             predicts: Whether candidates are predicted. If not, the search learns from attempts only.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
@@ -68,7 +70,7 @@ class AttackSearch:
         self._kinds: set[str] = set()  # kinds of the successes so far, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
-        supports = Supports(self._situations, Random(seed), adversaries, compositions, library)
+        supports = Supports(self._situations, Random(seed), adversaries, compositions, library, attackers)
         self._support = supports if adversaries > 1 else None
         self._supports_predicted = False
         self._colliders = frozenset(colliders)
@@ -197,6 +199,14 @@ class AttackSearch:
             return
         variations = self._sampler.variations(chosen, self._settings.sampling.around_chosen * len(chosen))
         self.pool += self._scorer.score([*chosen, *variations])
+
+    def completed(self, p: Proposal) -> Proposal:
+        """Return a candidate with all attackers of the scene; the same one if it has them.
+
+        Args:
+            p: The candidate.
+        """
+        return p if self._support is None else self._support.completed(p)
 
     def add_casts(self, casts: Sequence[Cast], by: str) -> None:
         """Add candidates of compositions that an analyzer proposes; do nothing if only one adversary is allowed.
@@ -424,7 +434,8 @@ class AttackSearch:
         templates = templates_of(self._situations, library, allowed)
         if self._pairs:
             templates = [t for t in templates if (t.target.state.id, t.entry.label) in self._pairs]
-        return [t for t in templates if not self._colliders or t.target.state.id in self._colliders]
+        templates = [t for t in templates if not self._colliders or t.target.state.id in self._colliders]
+        return templates if self._support is None else self._support.attackers.usable(templates)
 
     # -- predicting ---------------------------------------------------------------------------------------------
 

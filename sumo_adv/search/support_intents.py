@@ -176,7 +176,7 @@ def can_do_duty(duty: Duty, entry: LibraryEntry, target: Target) -> bool:
     Pedestrians and cyclists have no duties.
 
     Args:
-        duty: The duty.
+        duty: The duty of a support.
         entry: The intent by which the vehicle would do it.
         target: The vehicle.
     """

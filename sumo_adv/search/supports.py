@@ -1,4 +1,4 @@
-"""Supports: what other vehicles do so that a collider succeeds.
+"""Supports: what other vehicles do so that a collider succeeds. Another vehicle may also attack as the collider does.
 
 In an attempt, the ego may escape: it brakes or swerves to the left or right. A third party may also be in the
 collider's way. A variation of that attempt may gain a support against this escape, or lose one (``evolution``).
@@ -13,9 +13,11 @@ from random import Random
 
 import numpy as np
 
+from sumo_adv.asked import Attacker
 from sumo_adv.datatypes import Duty, LibraryEntry, ObservedMotion, Proposal
 from sumo_adv.memory.records import Composition, Part
 from sumo_adv.road_users import is_unprotected
+from sumo_adv.search.attackers import Attackers, attack_of
 from sumo_adv.search.sampling import EMERGENCY_BRAKING_LABEL, AttackTemplate
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, can_do_duty
 from sumo_adv.situation import MEET_AHEAD, Situation
@@ -119,6 +121,11 @@ EXPERT_COMPOSITIONS: tuple[Composition, ...] = (
         "Intersection Rush-through Go-straight", (Duty.HIDE, "View Screen"),
     ),
     _of(
+        "Double Cut-in",
+        "Two vehicles cut in, one after the other or at the same time.",
+        CUT_IN_LABEL, (Duty.ATTACK, CUT_IN_LABEL),
+    ),
+    _of(
         "Opened Gap",
         "A vehicle of a platoon beside the ego opens a gap, and another one cuts in through it.",
         CUT_IN_LABEL, (Duty.OPEN, "Gap Opening"),
@@ -138,10 +145,15 @@ def composition_label(collider: Proposal, supports: Sequence[Proposal], known: I
     Returns:
         The label; without a matching composition the labels of the parts, the collider's first.
     """
-    parts = sorted((p.duty, p.label) for p in (collider, *supports))
-    same = (c for c in known if sorted((part.duty, part.intent) for part in c.parts) == parts)
+    parts = sorted((_side(p.duty), p.label) for p in (collider, *supports))
+    same = (c for c in known if sorted((_side(part.duty), part.intent) for part in c.parts) == parts)
     composition = next(same, None)
     return composition.label if composition is not None else " + ".join([collider.label, *(p.label for p in supports)])
+
+
+def _side(duty: Duty) -> Duty:
+    """Return the duty; that of all attackers is the same, whichever of them is the collider."""
+    return Duty.ATTACK if duty is Duty.COLLIDER else duty
 
 
 def description_of(p: Proposal, library: Sequence[LibraryEntry], proposed: Iterable[Cast] = ()) -> str:
@@ -165,6 +177,7 @@ def description_of(p: Proposal, library: Sequence[LibraryEntry], proposed: Itera
 # -- giving and taking supports --------------------------------------------------------------------------------------
 
 MAX_COLLIDERS = 2  # maximum number for a composition; each costs an attempt
+ATTACK_SHARE = 0.3  # of the vehicles that a candidate gains; they attack, the others support
 
 
 class Supports:
@@ -172,7 +185,7 @@ class Supports:
 
     def __init__(
         self, situations: Mapping[float, Situation], random: Random, most: int, known: Sequence[Composition] = (),
-        library: Sequence[LibraryEntry] = (),
+        library: Sequence[LibraryEntry] = (), attackers: Sequence[Attacker] = (),
     ) -> None:  # fmt: skip
         """Know the expert's compositions and the given ones.
 
@@ -182,8 +195,10 @@ class Supports:
             most: The maximum number of adversaries of a candidate.
             known: Compositions that are tried in addition to the expert's.
             library: The intents that their parts may name.
+            attackers: The vehicles that attack in each candidate; empty for one collider.
         """
         self._compositions, self._library = (*known, *EXPERT_COMPOSITIONS), library
+        self.attackers = Attackers(attackers, random)
         self._situations, self._random, self._most = situations, random, most
         self._proposed: tuple[Composition, ...] = ()  # by the analyzer
 
@@ -192,8 +207,20 @@ class Supports:
 
         Args:
             templates: The templates of the colliders.
+
+        Returns:
+            The candidates; none if the scene says who attacks.
         """
-        return self._carried_out([Cast(c) for c in self._compositions], templates)
+        return [] if self.attackers.names else self._carried_out([Cast(c) for c in self._compositions], templates)
+
+    def completed(self, p: Proposal) -> Proposal:
+        """Return a candidate with all attackers of the scene; the same one if it has them.
+
+        Args:
+            p: The candidate.
+        """
+        more = self.attackers.lacking(p)
+        return replace(self._together(p, (*p.supports, *more)), by=p.by) if more else p
 
     def proposed(self, casts: Sequence[Cast], by: str, templates: Sequence[AttackTemplate]) -> list[Proposal]:
         """Return candidates of compositions that an analyzer proposes.
@@ -218,15 +245,23 @@ class Supports:
         Returns:
             The changed candidate, or the same one if nothing fits.
         """
-        if p.supports and (len(p.supports) == self._most - 1 or self._random.random() < 0.5):
-            gone = self._random.randrange(len(p.supports))
+        p = self.completed(p)
+        spare = [k for k, support in enumerate(p.supports) if support.bv not in self.attackers.names]
+        full = len(p.supports) == self._most - 1
+        if spare and (full or self._random.random() < 0.5):
+            gone = self._random.choice(spare)
             return self._together(p, (*p.supports[:gone], *p.supports[gone + 1 :]))
+        if full:
+            return p
         collider = self._situations[p.delay].targets[p.bv]
         if is_unprotected(collider.state):  # all adversaries of a candidate have the same limits
             return p
         meets = collider.relation in MEET_AHEAD  # a vehicle beside the ego can hide only these
         duties = [duty for duty in escape or SUPPORT_INTENTS if meets or duty is not Duty.HIDE]
         fitting = [each for duty in duties for each in self._fitting(p, duty, SUPPORT_INTENTS[duty])]
+        attacks = [] if self.attackers.names else self.attackers.others(p)
+        if attacks and (not fitting or self._random.random() < ATTACK_SHARE):
+            return self._together(p, (*p.supports, attack_of(self._random.choice(attacks), self._random)))
         if not fitting:
             return p
         duty, template = self._random.choice(fitting)
@@ -266,13 +301,23 @@ class Supports:
     def _cast(self, cast: Cast, p: Proposal) -> Proposal | None:
         """Add a composition's supports to its collider; return None if no vehicle fits a part."""
         for k, part in enumerate(cast.composition.parts[1:], start=1):
-            entries = [e for e in (*SUPPORT_INTENTS[part.duty], *self._library) if e.label == part.intent]
-            fitting = self._fitting(p, part.duty, entries, part.mode, cast.vehicle(k))
+            fitting = self._fitting_part(p, part, cast.vehicle(k))
             if not fitting:
                 return None
             duty, template = self._random.choice(fitting)
             p = self._together(p, (*p.supports, replace(template.proposal(None), duty=duty)))
         return p
+
+    def _fitting_part(self, p: Proposal, part: Part, vehicle: str) -> list[tuple[Duty, AttackTemplate]]:
+        """Return the vehicles that can carry out a part of a composition, each with an intent and a planner."""
+        if part.duty is not Duty.ATTACK:
+            entries = [e for e in (*SUPPORT_INTENTS[part.duty], *self._library) if e.label == part.intent]
+            return self._fitting(p, part.duty, entries, part.mode, vehicle)
+        return [
+            (Duty.ATTACK, t) for t in self.attackers.others(p)
+            if t.entry.label == part.intent and part.mode in (ANY_FITTING, t.planner.mode)
+            and vehicle in (ANY_FITTING, t.target.state.id)
+        ]  # fmt: skip
 
     def _together(self, collider: Proposal, supports: tuple[Proposal, ...]) -> Proposal:
         """Return the collider's candidate with these supports and the label of their composition."""

@@ -20,7 +20,7 @@ from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, EncounterDetect
 from sumo_adv.episode.situation_builder import build_situation, trigger_state
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.traffic_forecast import apart, traffic_forecast
-from sumo_adv.episode.verdict import verdict_on
+from sumo_adv.episode.verdict import verdict_of_attackers
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.serve.events import Events, helpers
@@ -252,13 +252,17 @@ class LiveAttempts:
                 session.tick()
             start = session.now
             driven = self._drive(session, proposal)
-            verdict = verdict_on(session, encounter, settings, trigger, bvs, start, driven)
+            verdict = verdict_of_attackers(session, encounter, settings, trigger, proposal, start, driven)
         except EgoLost:
             driven, self.lost = Driven("ego_lost", LOST), True
         finally:
             session.attended, session.adversaries = False, ()
         result = AttemptResult(
-            driven, verdict, start, session.recording.snapshots[trigger:], dict(session.simulation.fleet.sizes)
+            driven,
+            verdict,
+            start,
+            session.recording.snapshots[trigger:],
+            dict(session.simulation.fleet.sizes),
         )
         hits = collided(session, bvs, with_ego=driven.ending == "contact")
         for bv in bvs:

@@ -240,9 +240,8 @@ class EgoServer:
             "encounter", time=encounter.time, number=self._number + 1, ego=encounter.ego,
             ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in encounter.ranking],
         )  # fmt: skip
-        request = Request(parts.run_input.asked, parts.run_input.words)
         lanes = parts.road.strips(*encounter.area)
-        kept = [EncounterRecord(encounter, self._settings.goal, lanes=lanes, request=request)]
+        kept = [EncounterRecord(encounter, self._settings.goal, lanes=lanes, request=Request.of(parts.run_input))]
         bank_hash = parts.bank.content_hash()
         try:
             decision = self._decided(session, kept, scene)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from sumo_adv.asked import Asked
+from sumo_adv.asked import Asked, Attacker
 from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.ego_way import EgoMove, SightStretch
 from sumo_adv.errors import UsageError, nearest
@@ -98,6 +98,7 @@ class RunInput:
         options: SUMO's options of the user's own simulation; None means this program's.
         notes: Sentences on what of the user's simulation is not kept, or was converted.
         asked: What must be true of the attack.
+        attackers: The vehicles that attack together; empty if one adversary is chosen among the candidates.
         words: The description that the scenario was made from.
         conversion: How a map was converted that is no SUMO network.
         waymo: The Waymo record that was converted.
@@ -134,6 +135,7 @@ class RunInput:
     options: Mapping[str, str] | None = None
     notes: tuple[str, ...] = ()
     asked: Asked | None = None
+    attackers: tuple[Attacker, ...] = ()
     words: str = ""
     conversion: MapConversion | None = None
     waymo: WaymoSource | None = None
@@ -158,6 +160,8 @@ class RunInput:
         if self.asked is not None:
             brought |= {} if {"until", "ttc", "min_delta_v"} & set(named) else self.asked.settings
             brought |= {"adversaries": 1 + len(self.supports)} if self.supports else {}
+        if self.attackers:
+            brought["adversaries"] = len(self.attackers) + len(self.supports)
         return brought
 
 
@@ -323,12 +327,27 @@ def _from_scenario(path: Path) -> RunInput:
         ego_controller=scenario.ego.controller, ego_parameters=scenario.ego.parameters,
         ego_sensing=scenario.ego.sensing,
         trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
-        candidates=scenario.adversary.candidates, supports=scenario.adversary.supports,
-        intents=scenario.adversary.intents, scripts=scenario.scripts, label=scenario.label,
+        candidates=scenario.adversary.candidates or tuple(each.id for each in scenario.attackers),
+        supports=scenario.adversary.supports, intents=_intents(scenario), scripts=scenario.scripts,
+        label=scenario.label,
         files=(path, network, *routes, *additional, *_named(scans), *(playback.files if playback else ())),
-        playback=playback, asked=scenario.asked, words=scenario.written.words if scenario.written else "",
-        moves=scenario.moves, sight=scenario.sight,
+        playback=playback, asked=_asked(scenario), attackers=scenario.attackers,
+        words=scenario.written.words if scenario.written else "", moves=scenario.moves, sight=scenario.sight,
     )  # fmt: skip
+
+
+def _asked(scenario: Scenario) -> Asked | None:
+    """Return what is asked of the attack; nothing in particular if it is only asked of its attackers."""
+    of_attackers = any(attacker.asked != Asked() for attacker in scenario.attackers)
+    return Asked() if scenario.asked is None and of_attackers else scenario.asked
+
+
+def _intents(scenario: Scenario) -> tuple[str, ...]:
+    """Return the intents that any adversary may use; empty if one of the attackers may use all."""
+    if not all(attacker.intents for attacker in scenario.attackers):
+        return ()
+    named = (label for attacker in scenario.attackers for label in attacker.intents)
+    return scenario.adversary.intents or tuple(dict.fromkeys(named))
 
 
 def _named_network(path: Path, network: Path) -> Path:
@@ -372,7 +391,10 @@ def _scan_all(path: Path, network: Path, demand: tuple[Path, ...]) -> tuple[Netw
 def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...], recorded: frozenset[str]) -> None:
     """Raise UsageError if the scenario names a vehicle that neither its route files nor its tracks contain."""
     adversary = scenario.adversary
-    named = {"ego": (scenario.ego.id,), "adversary candidate": adversary.candidates, "support": adversary.supports}
+    named = {
+        "ego": (scenario.ego.id,), "adversary candidate": adversary.candidates, "support": adversary.supports,
+        "attacker": tuple(each.id for each in scenario.attackers),
+    }  # fmt: skip
     for role, ids in named.items():
         for vehicle in ids:
             if vehicle is None or vehicle in recorded or any(scan.has(vehicle) for scan in scans):

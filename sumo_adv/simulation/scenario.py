@@ -14,7 +14,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 
-from sumo_adv.asked import Asked, RequestOrigin
+from sumo_adv.asked import Asked, Attacker, RequestOrigin
 from sumo_adv.datatypes import MAX_ADVERSARIES, Relation
 from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.ego_way import EgoMove, SightStretch
@@ -173,6 +173,22 @@ class Scenario(_Table):
     sight: Annotated[tuple[SightStretch, ...], Field(max_length=MAX_MOVES)] = ()
     written: RequestOrigin | None = None
     asked: Asked | None = None
+    attackers: tuple[Attacker, ...] = ()
+
+    @model_validator(mode="after")
+    def _few_attackers(self) -> Self:
+        ids = [attacker.id for attacker in self.attackers]
+        if not ids:
+            return self
+        if self.adversary.candidates or self.adversary.intents:
+            raise ValueError("give either attackers, or candidates and intents of the adversary, not both")
+        if len(ids) == 1:
+            raise ValueError("attackers are two or more; a single one is the candidate of the adversary")
+        if len({*ids, *self.adversary.supports}) < len(ids) + len(self.adversary.supports):
+            raise ValueError("attackers and supports must all be different vehicles")
+        if len(ids) + len(self.adversary.supports) > MAX_ADVERSARIES:
+            raise ValueError(f"attackers and supports together are at most {MAX_ADVERSARIES}")
+        return self
 
     @model_validator(mode="after")
     def _of_an_ego(self) -> Self:
@@ -223,6 +239,7 @@ def _known_keys(location: tuple[int | str, ...]) -> str:
         "demand": Demand, "ego": Ego, "window": AttackWindow, "adversary": Adversary, "signals": Signals,
         "label": Label, "parked": ObstacleBox, "pedestrians": ObstacleBox, "cyclists": ObstacleBox,
         "scripts": Script, "written": RequestOrigin, "asked": Asked, "moves": EgoMove, "sight": SightStretch,
+        "attackers": Attacker,
     }  # fmt: skip
     table = tables.get(str(location[0]), Scenario) if len(location) > 1 else Scenario
     names = [info.alias or name for name, info in table.model_fields.items()]

@@ -212,7 +212,10 @@ class Author:
     def _play(self, draft: Draft, scene: SceneDraft, folder: Path) -> Played:
         """Build and run a scene; have its motion read if it reached its level and fits."""
         known = {canonical(e.label) for e in self._library}
-        unknown = next((label for label in scene.attack.intents if canonical(label) not in known), None)
+        novel = set() if scene.attack.novel is None else {canonical(scene.attack.novel.label)}
+        of_others = [label for other in scene.attack.others for label in other.intents if canonical(label) not in novel]
+        named = (label for label in (*scene.attack.intents, *of_others) if canonical(label) not in known)
+        unknown = next(named, None)
         if unknown is not None:
             raise UsageError(
                 f"There is no intent '{sanitize(unknown)}'; leave intents empty, take some of the list, or describe "
@@ -274,7 +277,8 @@ def _what_happened(played: Played) -> str:
     gates = outcome["outcome"]["failed_gates"]
     lines += [f"Gates that failed: {', '.join(gates)}."] if gates else []
     lines += [f"Attempt {fact}" for fact in attempt_facts(outcome["attempts"])]
-    lines.append(f"Its motion, from when the attack began (A is '{played.scene.attack.adversary}'):\n{asked['motion']}")
+    who = ", ".join(f"{letter} is '{name}'" for letter, name in zip("ABC", played.scene.attack.attackers, strict=False))
+    lines.append(f"Its motion, from when the attack began ({who}):\n{asked['motion']}")
     lines.append("Change places, speeds, the road, intents or what is asked, whichever is the reason.")
     return "\n".join(lines)
 

@@ -15,9 +15,10 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from sumo_adv.asked import RequestOrigin
+from sumo_adv.datatypes import MAX_ADVERSARIES
 from sumo_adv.errors import UsageError
-from sumo_adv.files import toml_lines, toml_text, toml_value
-from sumo_adv.words.draft import EgoDraft, LightsPhase, SceneDraft, VehicleDraft
+from sumo_adv.files import toml_lines, toml_text
+from sumo_adv.words.draft import AttackDraft, EgoDraft, LightsPhase, SceneDraft, VehicleDraft
 from sumo_adv.words.ego_way import come_after, time_to, way_tables
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
 from sumo_adv.words.scripts import check_script, script_tables
@@ -110,9 +111,12 @@ def _check_names(scene: SceneDraft) -> None:
     twice = next((name for name in names if names.count(name) > 1 or name == "ego"), None)
     if twice is not None:
         raise UsageError(f"The id '{twice}' is used twice: each vehicle and walker needs its own, and none is 'ego'.")
-    for name in (scene.attack.adversary, *scene.attack.supports):
+    adversaries = [*scene.attack.attackers, *scene.attack.supports]
+    for name in adversaries:
         if name not in names:
             raise UsageError(f"The attack names '{name}', which is no vehicle or walker; there are {', '.join(names)}.")
+    if len(set(adversaries)) < len(adversaries) or len(adversaries) > MAX_ADVERSARIES:
+        raise UsageError(f"The adversary, the others and the supports are at most {MAX_ADVERSARIES}, each named once.")
 
 
 def _check_speed(kmh: float, drive: VehicleRoute, who: str) -> None:
@@ -275,9 +279,8 @@ def _scenario(
     """Return the text of the scenario."""
     attack = scene.attack
     walkers, tables = _boxes(scene, ego, start)
-    adversary = walkers.get(attack.adversary, attack.adversary)
     meets = {p.draft.id: p.meets for p in placed} | {w.id: time_to(scene.ego, w.at) for w in scene.walkers}
-    met = meets.get(attack.adversary)
+    met = min((time for name in attack.attackers if (time := meets.get(name)) is not None), default=None)
     trigger = FREE_TRIGGER_TIME_S if met is None else max(round(met - TRIGGER_BEFORE_MEETING_S, 1), MIN_TRIGGER_TIME_S)
     name = scene.road.name if scene.road.kind == "shipped" else network.name
     if scene.road.kind == "given":
@@ -287,16 +290,48 @@ def _scenario(
         f"schema = 1\nnetwork = {toml_text(name)}\n\n[demand]\nfiles = [{toml_text(f'{stem}.rou.xml')}]\nbegin = 0.0\n"
         f"end = {DEMAND_DURATION_S}\n\n[ego]\nid = \"ego\"\n\n[window]\n"
         f"warm_up = {min(trigger, MIN_TRIGGER_TIME_S)}\ntrigger = {trigger}\n"
-        f"horizon = {DRAFT_HORIZON_S}\n\n[adversary]\ncandidates = {toml_value([adversary])}\n",
-        f"supports = {toml_value(attack.supports)}\n" if attack.supports else "",
-        f"intents = {toml_value(attack.labels)}\n" if attack.labels else "",
+        f"horizon = {DRAFT_HORIZON_S}\n",
+        _table("adversary", _adversary(attack, walkers)),
         f"\n[signals]\nfiles = [{toml_text(f'{stem}.add.xml')}]\n" if lights else "",
         *tables, *way,
         "" if attack.script is None else script_tables(attack.script),
         _table("written", {"words": written.words, "model": written.model, "date": written.date}),
-        _table("asked", attack.asked.model_dump(mode="json", exclude_defaults=True)),
+        _table("asked", _asked_of_all(attack)),
+        *_attackers(attack, walkers),
     ]  # fmt: skip
     return "".join(lines)
+
+
+def _adversary(attack: AttackDraft, walkers: Mapping[str, str]) -> dict[str, Any]:
+    """Return the table of the only adversary and its supports; that of several attackers has the supports only."""
+    supports = {"supports": attack.supports or None}
+    if attack.others:
+        return supports
+    name = walkers.get(attack.adversary, attack.adversary)
+    return {"candidates": [name], **supports, "intents": attack.labels or None}
+
+
+OF_ALL = ("level", "within")  # keys of what is asked of several attackers together
+
+
+def _asked_of_all(attack: AttackDraft) -> dict[str, Any]:
+    """Return the table of what is asked of the only adversary, or of several attackers together."""
+    table = attack.asked.model_dump(mode="json", exclude_defaults=True)
+    return {key: value for key, value in table.items() if key in OF_ALL} if attack.others else table
+
+
+def _attackers(attack: AttackDraft, walkers: Mapping[str, str]) -> list[str]:
+    """Return the tables of several attackers; none for one."""
+    if not attack.others:
+        return []
+    each = [(attack.adversary, attack.labels, attack.asked)]
+    each += [(other.adversary, other.intents, other.asked) for other in attack.others]
+    tables = []
+    for name, labels, asked in each:
+        own = asked.model_dump(mode="json", exclude_defaults=True, exclude=set(OF_ALL))
+        head = toml_lines({"id": walkers.get(name, name), "intents": labels or None})
+        tables.append("\n".join(["", "[[attackers]]", *head, ""]) + _table("attackers.asked", own))
+    return tables
 
 
 def _boxes(scene: SceneDraft, ego: VehicleRoute, start: float) -> tuple[dict[str, str], list[str]]:

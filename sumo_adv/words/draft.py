@@ -127,16 +127,32 @@ class NovelDraft(_Part):
     applies: list[AppliesTo] = Field(min_length=1, max_length=4)
 
 
+class OtherAttackerDraft(_Part):
+    """Another one that attacks in the same attempt. adversary: its id. intents: known ones or the novel one, empty for
+    any. asked: of it, without level and within."""
+
+    adversary: Name
+    intents: list[str] = Field(default_factory=list, max_length=4)
+    asked: Asked
+
+
 class AttackDraft(_Part):
     """The attack. adversary, supports: ids of vehicles or walkers. intents: known ones, empty for any. script: what the
-    adversary does, if none of them can be it; novel: if no script can say it either."""
+    adversary does, if none of them can be it; novel: if no script can say it either. others: that attack together with
+    the adversary; the level and within of asked are of all."""
 
     adversary: Name
     script: Script | None = None
     novel: NovelDraft | None = None
     intents: list[str] = Field(default_factory=list, max_length=4)
     supports: list[Name] = Field(default_factory=list, max_length=2)
+    others: list[OtherAttackerDraft] = Field(default_factory=list, max_length=2)
     asked: Asked
+
+    @property
+    def attackers(self) -> list[str]:
+        """The ids of all that attack, the adversary's first."""
+        return [self.adversary, *(other.adversary for other in self.others)]
 
     @property
     def labels(self) -> list[str]:

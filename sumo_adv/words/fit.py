@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,14 +81,53 @@ def compare(asked: Asked, motion: DescribedMotion) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def misfits(asked: Asked, motion: DescribedMotion) -> tuple[str, ...]:
+def compare_attackers(
+    asked: Asked, attackers: Mapping[str, Asked], motions: Mapping[str, DescribedMotion], collider: str
+) -> tuple[Part, ...]:
+    """Compare the motions of all attackers with each part of a request.
+
+    Args:
+        asked: What is requested of the attack.
+        attackers: What is requested of each of several attackers, by id; empty for one adversary.
+        motions: What happened, by the attacker's id.
+        collider: The id of the attacker whose verdict counts. Its motion is compared with ``asked``.
+
+    Returns:
+        The parts; those of one of several attackers begin with its id.
+    """
+    parts = list(compare(asked, motions[collider]))
+    for name, own in attackers.items():
+        if name in motions:
+            of_it = compare(own, motions[name])
+            parts += [Part(f"{name}: {part.name}", part.holds, f"{name}: {part.says}") for part in of_it]
+        else:
+            parts.append(Part(name, False, f"{name} was gone at once."))
+    if asked.within is not None and attackers:
+        parts.append(_together(asked.within, attackers, motions))
+    return tuple(parts)
+
+
+def _together(within: float, attackers: Mapping[str, Asked], motions: Mapping[str, DescribedMotion]) -> Part:
+    """Compare the times of the last event that is asked of each attacker."""
+    last = {
+        name: _times_of(own.events, motions[name])[-1] if name in motions else None
+        for name, own in attackers.items() if own.events
+    }  # fmt: skip
+    times = [time for time in last.values() if time is not None]
+    if not times or len(times) < len(last):
+        return Part("within", False, "Not all attackers do what is asked of them.")
+    span = max(times) - min(times)
+    lack = "" if span <= within else f", not {within:g} s"
+    return Part("within", span <= within, f"What is asked of the attackers happens within {span:.1f} s{lack}.")
+
+
+def misfits(parts: Iterable[Part]) -> tuple[str, ...]:
     """Return what an attempt lacks of the request, one sentence each; empty if it fits.
 
     Args:
-        asked: The request.
-        motion: What happened.
+        parts: The parts of the request.
     """
-    return tuple(part.says for part in compare(asked, motion) if not part.holds)
+    return tuple(part.says for part in parts if not part.holds)
 
 
 def held(parts: Sequence[Mapping[str, Any]]) -> str:
@@ -104,14 +143,23 @@ def held(parts: Sequence[Mapping[str, Any]]) -> str:
 def _events(wanted: Sequence[Event], motion: DescribedMotion) -> Iterator[Part]:
     """Yield the wanted events in their order, each compared with the motion."""
     happened = ", ".join(f"{event} at {time:.1f} s" for time, event in motion.events) or "nothing of note"
-    after, last = 0.0, ""
-    for event in wanted:
-        time = _time_of(event, after - EVENT_ORDER_SLACK_S, motion)
+    last = ""
+    for event, time in zip(wanted, _times_of(wanted, motion), strict=True):
         if time is None:
             yield Part(f"events: {event}", False, f"'{event}' does not happen{last}; what happens: {happened}.")
         else:
             yield Part(f"events: {event}", True, f"'{event}' happens at {time:.1f} s{last}.")
-            after, last = max(after, time), f" after '{event}'"
+            last = f" after '{event}'"
+
+
+def _times_of(wanted: Sequence[Event], motion: DescribedMotion) -> list[float | None]:
+    """Return when the wanted events happen in their order [s]; None for one that does not."""
+    after, times = 0.0, list[float | None]()
+    for event in wanted:
+        time = _time_of(event, after - EVENT_ORDER_SLACK_S, motion)
+        after = after if time is None else max(after, time)
+        times.append(time)
+    return times
 
 
 def _time_of(event: Event, earliest: float, motion: DescribedMotion) -> float | None:

@@ -8,6 +8,7 @@ on its path.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -379,6 +380,19 @@ EVENT_PHRASES = {
     Event.RUNS_RED: "A enters the junction on red",
     Event.RUNS_YELLOW: "A enters the junction on yellow",
 }
+
+
+def words_of(motions: Sequence[DescribedMotion]) -> str:
+    """Describe the motions of one or several attackers: A, B and C, in the given order.
+
+    Args:
+        motions: The motions of the attackers in the same attempt.
+    """
+    if len(motions) == 1:
+        return motions[0].words
+    names = "ABC"[: len(motions)]
+    texts = [re.sub(r"\bA\b", name, motion.words) for name, motion in zip(names, motions, strict=True)]
+    return "\n\n".join([f"{len(motions)} road users attack: {', '.join(names)}. Each has its own facts.", *texts])
 
 
 def _words(

@@ -20,6 +20,11 @@ const at = (time, words) => (time === null || time === undefined ? null : el("a"
 
 const knots = (a) => (Array.isArray(a) ? a.map(([t, v]) => `${v} m/s² at ${t} s`).join(", ") : `${a} m/s²`);
 
+const ATTACKER_WORDS = { touched: "touched the ego", forced: "forced the contact", played: "attacked as well" };
+
+/** What each of several attackers did; empty for one. */
+const several = (outcome) => ((outcome.attackers || []).length > 1 ? outcome.attackers : []);
+
 function headline(outcome) {
   const counts = (outcome.attempts || [])[outcome.best ?? -1], names = (outcome.adversaries || []).map((a) => a.id);
   const label = (counts && counts.composition) || (outcome.intent ? outcome.intent.label : null);
@@ -37,6 +42,7 @@ function headline(outcome) {
     if (v.preventable_by) badges.push([v.preventable_by.length ? `preventable by ${v.preventable_by.join(", ")}` : "no reference driver avoids it", "level"]);
     badges.push([v.collided ? "collision" : "no contact", v.collided ? "bad" : ""]);
     badges.push([`min TTC ${number(v.min_ttc, 2, "s")}`, ""]);
+    for (const a of several(outcome)) badges.push([`${plain(a.id)} ${ATTACKER_WORDS[a.role]}`, a.role === "played" ? "" : "bad"]);
     badges.push([v.feasible ? "✓ feasible" : "✗ not feasible", v.feasible ? "good" : "bad"]);
     if (v.inconclusive) badges.push([`inconclusive: ${answer(v.inconclusive)}`, "bad"]);
     if (v.ego_stationary) badges.push(["the ego stood", "bad"]);
@@ -61,6 +67,7 @@ function verdictPanel(outcome) {
   return panel("Verdict", numbers, el("h3", null, "Gates of feasibility"), table([], gates), list([
     ["valid", answer(v.valid)], ["strict", answer(v.strict)], ["level", answer(v.level)],
     ["human", answer(v.humanlike)],
+    ...several(outcome).map((a) => [plain(a.id), `${ATTACKER_WORDS[a.role]}, min TTC ${number(a.min_ttc, 2, "s")}`]),
     ["rear-end", answer(v.rear_end)], ["at fault", v.fault ? `${answer(v.fault)} (${Math.abs(impact.angle) > 0.75 * Math.PI ? "it left its side of the road" : "by nuPlan's rule"})` : null],
     ["class", v.collision_class ? answer(v.collision_class) : null],
     ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(v.contact_side)} of the ego` : null],
