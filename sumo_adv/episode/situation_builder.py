@@ -15,14 +15,13 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import lane_on_route
 from sumo_adv.episode.encounter_detector import WAY_AHEAD_M, RankedVehicle, continued
 from sumo_adv.episode.surroundings import Sight
-from sumo_adv.episode.unprotected import STANDING_SPEED_M_S, unprotected_ways
+from sumo_adv.episode.unprotected import STANDING_SPEED_M_S, unprotected_ways, ways_back
 from sumo_adv.geometry import PATH_STEP_M, Frame, Path, wrap
 from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, PathAhead, RoadMap
 from sumo_adv.simulation.permissions import CAR
 from sumo_adv.situation import (
-    MEET_AHEAD,
     Baseline,
     OnPath,
     RoadAhead,
@@ -98,7 +97,7 @@ def spent(target: Target, lateral: float) -> bool:
     Returns:
         Whether no attack is feasible; False if the vehicle neither crosses nor merges.
     """
-    if target.relation not in MEET_AHEAD:
+    if not target.meets_ahead:
         return False
     k, square = max(int(target.station / PATH_STEP_M), 0), target.state.speed**2
     meeting = [
@@ -435,6 +434,7 @@ def _target(
     if is_unprotected(bv):
         small = unprotected_ways(bv, path, onward)
         turn = 0.0 if bv.speed < STANDING_SPEED_M_S else wrap(bv.heading - float(small[0].path.heading[0]))
+        small = (*small, *ways_back(bv, small, path))
         return Target(bv, ranked.relation, small, 0.0, 0.0, turn, (), ranked.risk, hand=road.hand)
     related = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in onward]
     ways = [replace(r, before_ego=goes_first(w.first, ego), bay=w.bay) for r, w in zip(related, onward, strict=True)]

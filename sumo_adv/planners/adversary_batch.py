@@ -83,6 +83,7 @@ class AdversaryBatch:
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
         self._unprotected = np.array([is_unprotected(t.state) for t in self.targets])
+        self._turns_back = np.array([w.turn is not None for w in ways])
 
     def begin(self) -> Motion:
         """Return the motion of all vehicles at the trigger."""
@@ -226,12 +227,20 @@ class AdversaryBatch:
         return PathEndpoint(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
 
     def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
-        """Project poses ``(n,)`` onto the ways ``row``: stations and offsets [m], and heading differences [rad]."""
+        """Project poses ``(n,)`` onto the ways ``row``: stations and offsets [m], and heading differences [rad].
+
+        The two legs of a way that turns back lie beside each other. The heading of the pose tells the leg.
+        """
         table, last = self.rows.table, self.rows.last[row]
         coarse, way = self._coarse[row], row[:, None]
         first = _nearest(coarse[:, 0], coarse[:, 1], x, y) * COARSE_WAY_STRIDE
         near = np.minimum(np.maximum(first[:, None] + COARSE_NEIGHBOURS, 0), last[:, None])
         i = near[np.arange(len(x)), _nearest(table[way, 0, near], table[way, 1, near], x, y)]
+        back = np.flatnonzero(self._turns_back[row])
+        if len(back):
+            px, py, heading = np.moveaxis(table[row[back], :3], 1, 0)
+            px = np.where(np.cos(h[back, None] - heading) < 0.0, np.inf, px)
+            i[back] = _nearest(px, py, x[back], y[back])
         px, py, heading = table[row, :3, i].T
         dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
         along, aside = c * dx + s * dy, -s * dx + c * dy
@@ -319,7 +328,7 @@ def _nearest(place_x: Floats, place_y: Floats, x: Floats, y: Floats) -> Any:
 def _inside(target: Target) -> tuple[float, float]:
     """Return the stations [m] at which a BV enters and leaves the junction where its ways part."""
     begins = min(w.junction for w in target.ways)
-    meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None]
+    meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None and w.turn is None]
     return begins, max(meets, default=begins) + AFTER_MERGE_M
 
 

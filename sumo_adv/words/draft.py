@@ -27,6 +27,7 @@ Relation = Literal[
     "crossing_right",
     "merging",
     "cyclist",
+    "cyclist_straight",
     "cyclist_hidden",
     "pedestrian",
     "pedestrian_hidden",
