@@ -36,7 +36,7 @@ HALF_TURN_STEPS = {RoadUser.PEDESTRIAN: (1, -1, 2, -2), RoadUser.CYCLIST: (15, -
 its way."""
 MAX_HALF_TURN_SPEED_M_S = 0.4  # m/s, on foot
 PAST_START_M = 10.0  # m; how far a way back leads beyond where it began
-MAX_PATH_DISTANCE_M = 25.0  # m to the conflict with the ego's path; a pedestrian needs 6 s for it
+MAX_PATH_DISTANCE_M = 25.0  # m of a way across to the conflict with the ego's path; a pedestrian needs 6 s for it
 EGO_TIMES_S = (1.5, 8.0)  # s until the ego is where the two meet
 START_DELAY_S = 0.5  # s that a pedestrian or cyclist needs to begin to move
 
@@ -186,8 +186,7 @@ def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: Vehic
     best = 0.0
     for way in ways:
         conflict = way.conflict
-        farthest = max(MAX_PATH_DISTANCE_M, EGO_TIMES_S[1] * state.speed) if way.movement != "across" else MAX_PATH_DISTANCE_M
-        if conflict is None or conflict.bv_s > farthest:
+        if conflict is None or (way.movement == "across" and conflict.bv_s > MAX_PATH_DISTANCE_M):
             continue
         ego_time = conflict.ego_s / max(ego.speed, 1.0)
         earliest = START_DELAY_S + conflict.bv_s / UNPROTECTED_SPEEDS_M_S[user]
