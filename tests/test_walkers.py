@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from situation_samples import EGO_PATH, situation
 
 from sumo_adv.datatypes import Proposal, Role, Track, VehicleState
 from sumo_adv.episode.attempt import PlannedAdversary
 from sumo_adv.episode.memory_access import unprotected_library
 from sumo_adv.episode.unprotected import unprotected_ways, ways_back
-from sumo_adv.metrics.gates import kinematic_gates, motion
+from sumo_adv.metrics.gates import kinematic_gates
 from sumo_adv.planners.sessions import ask_trusted
 from sumo_adv.road_users import UNPROTECTED_LIMITS, road_user
 from sumo_adv.situation import Situation, Target
@@ -37,7 +36,9 @@ def scene(state: VehicleState, seconds: float = 12.0) -> Situation:
     return replace(given, baseline=baseline)
 
 
-def walked(given: Situation, label: str, values: Mapping[str, float], seconds: float, *, ego_speed: float = 10.0) -> Track:
+def walked(
+    given: Situation, label: str, values: Mapping[str, float], seconds: float, *, ego_speed: float = 10.0
+) -> Track:
     """What the walker does with a shipped planner while the ego drives on at one speed."""
     (planner,) = next(e.planners for e in unprotected_library() if e.label == label)
     proposal = Proposal("walker", label, planner, {**planner.defaults(), **values}, 0.0, 0.0)

@@ -207,8 +207,8 @@ class EncounterDetector:
         if is_unprotected(bv):
             on_lane = bv.id not in drive.obstacles and bv.lane in self.road.lanes
             ways = unprotected_ways(bv, path, _ways(self.road, drive, bv) if on_lane else ())
-            relation = Relation.ONCOMING if _rides_against(bv, ego, path) else Relation.CROSSING
-            return RankedVehicle(name, relation, crossing_risk(ways, bv, ego), ways, bv.lane)
+            stands_to = Relation.ONCOMING if _rides_against(bv, ego, path) else Relation.CROSSING
+            return RankedVehicle(name, stands_to, crossing_risk(ways, bv, ego), ways, bv.lane)
         if bv.lane not in self.road.lanes:
             return None
         s, d = path.project(bv.x, bv.y)

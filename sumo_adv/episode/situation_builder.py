@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
+from sumo_adv.datatypes import DriverModel, Floats, Role, Track, VehicleState
 from sumo_adv.drivers import model_of
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import lane_on_route
@@ -427,7 +427,8 @@ def _target(
     bv = state_at(track, time) if track is not None else None
     if bv is None:
         return None
-    lane = lane_on_route(road, bv, (), vclass)
+    placed = track is not None and track.role is Role.OBSTACLE  # a box of the scenario keeps to no lane
+    lane = None if placed else lane_on_route(road, bv, (), vclass)
     begin = 0.0 if lane is None else lane.station_at(bv.x, bv.y)
     farthest = FARTHEST_WAY_S * top_speed(bv)
     onward = [] if lane is None else road.ways(lane.id, begin, WAY_AHEAD_M, farthest=farthest, vclass=vclass)

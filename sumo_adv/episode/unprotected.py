@@ -2,8 +2,8 @@
 
 Their ways are not lanes. An ``along`` way goes straight on, or along the lane of a cyclist. An ``across`` way turns as
 tightly as the pedestrian or cyclist can, and then goes straight over the ego's path. A pedestrian or cyclist that moves
-has several ``across`` ways, whose turns begin one second after each other. A ``back`` way goes over the ego's path, makes
-a half turn, and leads over the path again.
+has several ``across`` ways, whose turns begin one second after each other. A ``back`` way goes over the ego's path,
+makes a half turn, and leads over the path again.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ MIN_TURN_RADIUS_M = {RoadUser.PEDESTRIAN: 0.6, RoadUser.CYCLIST: 2.0}  # m
 ARC_STEP_RAD = 0.1  # rad
 TURNS_BACK_M = (0.5, 2.0, 3.5, 5.0)  # m past the middle of the ego's path
 HALF_TURN_STEPS = {RoadUser.PEDESTRIAN: (1, -1, 2, -2), RoadUser.CYCLIST: (15, -15, 17, -17)}
-"""Length of the half turn at each of ``TURNS_BACK_M``, in steps of a path, positive to the left. The radii are 0.16 m and
-0.32 m on foot, 2.39 m and 2.71 m by bicycle. They differ so that no two ways back lie on each other, and an endpoint tells
-its way."""
+"""Length of the half turn at each of ``TURNS_BACK_M``, in steps of a path, positive to the left.
+
+The radii are 0.16 m and 0.32 m on foot, 2.39 m and 2.71 m by bicycle. No two ways back lie on each other, so that an
+endpoint tells its way.
+"""
 MAX_HALF_TURN_SPEED_M_S = 0.4  # m/s, on foot
 PAST_START_M = 10.0  # m; how far a way back leads beyond where it began
 MAX_PATH_DISTANCE_M = 25.0  # m of a way across to the conflict with the ego's path; a pedestrian needs 6 s for it
@@ -131,9 +133,7 @@ def _across(state: VehicleState, user: RoadUser, ego_path: Path, after: float, *
     return make_path(points, tightest=UNPROTECTED_LIMITS[user].curvature, lateral=TURN_ACCELERATION_M_S2)
 
 
-def ways_back(
-    state: VehicleState, ways: Sequence[ReferencePath], ego_path: Path
-) -> tuple[ReferencePath, ...]:
+def ways_back(state: VehicleState, ways: Sequence[ReferencePath], ego_path: Path) -> tuple[ReferencePath, ...]:
     """Return ways that go over the ego's path, turn back, and cross it again. That second place is their conflict.
 
     Args:
@@ -157,7 +157,9 @@ def ways_back(
             fastest = min(fastest, MAX_HALF_TURN_SPEED_M_S)
         ends = begins + abs(steps)
         length = begins * PATH_STEP_M + PAST_START_M
-        way = relate(turned_back(onto.path, begins * PATH_STEP_M, steps, length, fastest), "back", math.inf, False, ego_path)
+        way = relate(
+            turned_back(onto.path, begins * PATH_STEP_M, steps, length, fastest), "back", math.inf, False, ego_path
+        )
         last = relate(_from(way.path, ends), "back", math.inf, False, ego_path).conflict
         if last is not None:
             last = replace(last, bv_s=last.bv_s + ends * PATH_STEP_M)
@@ -167,8 +169,8 @@ def ways_back(
 
 def _from(path: Path, first: int) -> Path:
     """Return the part of a path from a sample on."""
-    parts = (values[first:] for values in (path.x, path.y, path.heading, path.curvature, path.speed))
-    return Path(*parts, path.z)
+    here = slice(first, None)
+    return Path(path.x[here], path.y[here], path.heading[here], path.curvature[here], path.speed[here], path.z)
 
 
 def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: VehicleState) -> float:

@@ -192,7 +192,7 @@ def _small(name: str, relation: str, curvature: float, speed: float, time: float
 
 
 def _back(across: dict[str, Any], at: Callable[[float], Pose]) -> dict[str, Any]:
-    """Make a way that follows ``across`` to 2 m past the ego's path, turns within 2 m, and leads back on the same line."""
+    """Make a way that follows ``across`` to 2 m past the ego's path, turns within 2 m, and leads back on it."""
     turn = UNPROTECTED_OFFSET_M + 2.0
     line = [list(at(min(2.0 * i, 2.0 * turn + 2.0 - 2.0 * i))[:2]) for i in range(15)]
     meets = across["conflict"] | {

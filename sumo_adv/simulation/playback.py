@@ -6,8 +6,8 @@ vehicle. Then the ego gets its driver. Each other vehicle is handed to SUMO once
 appears. It is handed to SUMO only if its place is free. Vehicles without a route are never handed over. Once the ego's
 driver or an attack drives a vehicle, the log never moves it again.
 
-Other objects are boxes beside SUMO. There are two exceptions, which SUMO's drivers see because they are SUMO vehicles: a
-parked object with its centre in a lane, and a pedestrian or cyclist of the scenario who moves.
+Other objects are boxes beside SUMO. Two kinds are SUMO vehicles, so that SUMO's drivers see them: a parked object with
+its centre in a lane, and a pedestrian or cyclist of the scenario who moves.
 """
 
 from __future__ import annotations
