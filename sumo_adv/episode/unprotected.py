@@ -36,7 +36,7 @@ HALF_TURN_STEPS = {RoadUser.PEDESTRIAN: (1, -1, 2, -2), RoadUser.CYCLIST: (15, -
 The radii are 0.16 m and 0.32 m on foot, 2.39 m and 2.71 m by bicycle. No two ways back lie on each other, so that an
 endpoint tells its way.
 """
-MAX_HALF_TURN_SPEED_M_S = 0.4  # m/s, on foot
+MAX_HALF_TURN_SPEED_M_S = 0.45  # m/s, on foot; the motion may be a little faster, and stays below 0.5 m/s
 PAST_START_M = 10.0  # m; how far a way back leads beyond where it began
 MAX_PATH_DISTANCE_M = 25.0  # m of a way across to the conflict with the ego's path; a pedestrian needs 6 s for it
 EGO_TIMES_S = (1.5, 8.0)  # s until the ego is where the two meet

@@ -53,7 +53,7 @@ TRUSTED = frozenset(
         "c09f1cc28a10d892f50390c3c23209389d58c7fc3a86a3b5c052a90fbea2c3a4",  # swerve
         "1bbcad4a64fcffb80ea741e5395f26dc7a79bcd14c9367967aace3af5cf32c6e",  # cross
         "d75adb584fe0d8160ebfc7de895261a77dabfe13b821196b7b7e22cd1b8beb41",  # freeze
-        "01fe3c35b2ed71c3f933f31e95201c9e4058e3b01da23e3e2460e56fd5f65daa",  # turn_back
+        "dd3f8c1b6715943daab7967516ba077268ed3b5fd3c79544b7a516993d6f0f4f",  # turn_back
         "16179d9fed3030023066e07ae717c4b97ea69434fbfcf4337898f73c23882f4c",  # onward
         "d917bdd6169126a7e3d25c0f9a9f326c229ba8e2feba6c49a19575269924b006",  # free, of free motions
         "cd088138c5c7ecfc11d5993c76a64d84d5a3d01fbb99ac783529e977341b1993",  # beside, of supports
