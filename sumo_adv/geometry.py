@@ -14,6 +14,8 @@ from sumo_adv.datatypes import Bools, Floats
 PATH_STEP_M = 0.5  # distance between samples of a path
 HEADING_SMOOTHING_M = 1.5  # length over which headings are averaged
 PATH_BRAKING_M_S2 = 4.0  # deceleration before bends
+TURN_BRAKING_M_S2 = 2.0  # deceleration of pedestrians and cyclists before a half turn
+MAX_PATH_SPEED_M_S = 60.0  # highest speed on a straight path
 # numbers of smoothing passes for a path with a bend that is too tight; each adds to those before it
 ROUNDING_PASSES = (2, 2, 3, 3, 4, 4, 6, 8)
 LAYER_HEIGHT_M = 3.0
@@ -315,6 +317,39 @@ def make_path(
     return Path(x, y, heading, curvature, _bend_speed(curvature, lateral), z)
 
 
+def turned_back(path: Path, station: float, turn: int, metres: float, fastest: float) -> Path:
+    """Return a path that goes along a flat one, makes a half turn, and leads straight back beside it.
+
+    The samples of the turn are exact. Smoothing, as in :func:`make_path`, would move the place of the turn.
+
+    Args:
+        path: The path up to the turn. It is straight at the turn.
+        station: The station at which the turn begins [m], rounded to a sample.
+        turn: The length of the turn in steps of the path, positive to the left. The radius is this length over pi.
+        metres: The length of the path after the turn [m].
+        fastest: The highest speed in the turn [m/s].
+
+    Returns:
+        The path. The turn ends ``abs(turn)`` samples after it begins.
+    """
+    first = min(max(round(station / PATH_STEP_M), 1), len(path.x) - 1)
+    steps, side = abs(turn), math.copysign(1.0, turn)
+    radius = steps * PATH_STEP_M / math.pi
+    x, y, heading = float(path.x[first]), float(path.y[first]), float(path.heading[first])
+    turned = heading + side * np.pi * np.arange(1, steps + 1) / steps
+    turn_x = x + side * radius * (np.sin(turned) - math.sin(heading))
+    turn_y = y - side * radius * (np.cos(turned) - math.cos(heading))
+    back = PATH_STEP_M * np.arange(1, math.ceil(metres / PATH_STEP_M) + 1)
+    speed = np.concatenate([path.speed[:first], np.full(steps + 1, fastest), np.full(len(back), MAX_PATH_SPEED_M_S)])
+    bent = np.concatenate([path.curvature[:first], np.full(steps + 1, side / radius), 0.0 * back])
+    return Path(
+        np.concatenate([path.x[: first + 1], turn_x, turn_x[-1] - back * math.cos(heading)]),
+        np.concatenate([path.y[: first + 1], turn_y, turn_y[-1] - back * math.sin(heading)]),
+        np.concatenate([path.heading[: first + 1], turned, np.full(len(back), turned[-1])]),
+        bent, _reachable(speed**2, TURN_BRAKING_M_S2), path.z,
+    )  # fmt: skip
+
+
 def stations(x: Floats, y: Floats) -> Floats:
     """Return the distance of each point of a polyline from its first point, along the polyline [m]."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
@@ -388,8 +423,12 @@ def _smooth(values: Floats) -> Floats:
 
 def _bend_speed(curvature: Floats, lateral: float) -> Floats:
     """Compute the minimum over all places ahead of sqrt(v^2 + 2 b distance), v = sqrt(lateral / curvature)."""
-    square = np.minimum(lateral / np.maximum(np.abs(curvature), 1e-4), 3600.0)
-    gained = 2 * PATH_BRAKING_M_S2 * PATH_STEP_M * np.arange(len(square))
+    return _reachable(np.minimum(lateral / np.maximum(np.abs(curvature), 1e-4), MAX_PATH_SPEED_M_S**2))
+
+
+def _reachable(square: Floats, braking: float = PATH_BRAKING_M_S2) -> Floats:
+    """Return the highest speeds [m/s] from which ``braking`` [m/s2] keeps to the squared speeds ahead."""
+    gained = 2 * braking * PATH_STEP_M * np.arange(len(square))
     least = np.minimum.accumulate((square + gained)[::-1])[::-1]
     return np.asarray(np.sqrt(least - gained))
 

@@ -22,6 +22,7 @@ AppliesTo = Literal[
     "crossing_right",
     "merging",
     "cyclist",
+    "cyclist_straight",
     "cyclist_hidden",
     "pedestrian",
     "pedestrian_hidden",

@@ -65,6 +65,7 @@ class ReferencePath:
         before_ego: Whether, by SUMO's rules, a vehicle on this path goes before an ego that has to give way.
         bay: The station at which a turning vehicle waits on the junction for others, which ignore it there [m]; inf if
             there is none.
+        turn: The stations at which a way that leads back begins and ends its half turn [m]; None for other ways.
     """
 
     path: Path
@@ -77,6 +78,7 @@ class ReferencePath:
     conflict: PathConflict | None
     before_ego: bool = True
     bay: float = math.inf
+    turn: tuple[float, float] | None = None
 
 
 def mirrored(movement: str, hand: float) -> str:
@@ -137,6 +139,11 @@ class Target:
     hand: float = 1.0
 
     @property
+    def meets_ahead(self) -> bool:
+        """Whether the ego can meet it only at a conflict of paths, as it does all pedestrians and cyclists."""
+        return self.relation in MEET_AHEAD or road_user(self.state) is not RoadUser.VEHICLE
+
+    @property
     def fastest(self) -> float:
         """The highest speed that it goes for [m/s]."""
         return top_speed(self.state)
@@ -144,11 +151,14 @@ class Target:
     def applies(self) -> tuple[str, ...]:
         """Return the words that an intent's ``applies`` list is matched with.
 
-        For a pedestrian or a cyclist, they are the kind and whether it is hidden from the ego.
+        For a pedestrian or a cyclist, they are the kind, whether it is hidden from the ego, and whether the ego's path
+        crosses the way on which a cyclist rides.
         """
         user = road_user(self.state)
         if user is not RoadUser.VEHICLE:
-            return (str(user), f"{user}_hidden") if self.hidden else (str(user),)
+            onward = any(w.movement not in ("across", "back") and w.conflict is not None for w in self.ways)
+            more = ("straight",) * (onward and user is RoadUser.CYCLIST) + ("hidden",) * self.hidden
+            return (str(user), *(f"{user}_{word}" for word in more))
         words = {self.relation} - set(MEET_AHEAD)  # added below for the ways that do meet the ego's path
         for way in self.ways:
             if way.conflict is not None:

@@ -24,6 +24,7 @@ LABELS = {
     "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",
     "Intersection Rush-through Turn Left", "Intersection Rush-through Go-straight", "Straight Lane Shift",
     "Pedestrian Steps Out", "Pedestrian From Behind Obstacle", "Cyclist Crossing", "Cyclist Swerve",
+    "Pedestrian Turns Back", "Cyclist Turns Back", "Cyclist Rides On",
 }  # fmt: skip
 BASE = (
     "--step-length", "0.1", "--seed", "1", "--time-to-teleport", "-1", "--collision.action", "warn",
@@ -62,10 +63,10 @@ def distance(point: tuple[float, float], line: list[tuple[float, float]]) -> flo
     return min(to_segment(a, b) for a, b in pairwise(line))
 
 
-def test_there_are_23_networks_and_42_scenarios() -> None:
+def test_there_are_23_networks_and_45_scenarios() -> None:
     assert len(NETWORKS) == 23
-    assert len(SCENARIOS) == 42
-    assert len(shipped_names()) == 65
+    assert len(SCENARIOS) == 45
+    assert len(shipped_names()) == 68
     assert {path.name.removesuffix(".net.xml") for path in NETWORKS} == set(build_module().names())
 
 

@@ -193,7 +193,7 @@ def done(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Done:
     program = Program(tmp_path_factory.mktemp("person"), caches)
     case = write_case(program.folder, PERSON)
     return program.here(
-        "run", case, "--ego", "idm", "--until", "collision", "--attempts", "4", "--json", "--out", "out"
+        "run", case, "--ego", "idm", "--until", "collision", "--attempts", "4", "--seed", "1", "--json", "--out", "out"
     )
 
 
@@ -211,7 +211,8 @@ def test_a_person_attacks_as_a_pedestrian(done: Done) -> None:
 def test_without_forks_it_is_the_same_and_it_repeats(done: Done, tmp_path: Path, caches: Path) -> None:
     states = read_states(done.folder / "states.csv.gz")
     loaded = Program(tmp_path / "loaded", caches)
-    command = ("run", done.folder.parent / "case.toml", "--ego", "idm", "--until", "collision", "--attempts", "4")
+    case = done.folder.parent / "case.toml"
+    command = ("run", case, "--ego", "idm", "--until", "collision", "--attempts", "4", "--seed", "1")
     assert read_states(loaded.here(*command, "--no-fork", "--json", "--out", "out").folder / "states.csv.gz") == states
     again = Program(tmp_path / "again", caches).here("run", "--replay", done.folder, "--json", "--out", "out")
     assert read_states(again.folder / "states.csv.gz") == states

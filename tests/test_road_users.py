@@ -281,7 +281,7 @@ def test_the_shipped_bank_is_built_from_its_text_and_its_planners_are_trusted(tm
     ):
         assert built.content_hash() == shipped.content_hash()
     planners = [p for entry in unprotected_library() for p in entry.planners]
-    assert len(planners) == 6 and all(is_trusted(p) for p in planners)
+    assert len(planners) == 9 and all(is_trusted(p) for p in planners)
 
 
 def test_every_planner_passes_its_trial() -> None:

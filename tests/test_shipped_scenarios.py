@@ -29,6 +29,8 @@ WORDS = {
     "parked": {"Pedestrian From Behind Obstacle"}, "box_in": {"Aggressive Cut-in"}, "opens_gap": {"Aggressive Cut-in"},
     "squeezed_merge": {"Aggressive Cut-in"}, "hidden_crossing": {"Intersection Rush-through Go-straight"},
     "blocked_escape": {"Emergency Braking"}, "turn_across": {"Intersection Rush-through Turn Left"},
+    "pedestrian_turns_back": {"Pedestrian Turns Back"}, "cyclist_turns_back": {"Cyclist Turns Back"},
+    "cyclist_wrong_way": {"Cyclist Rides On"},
 }  # fmt: skip
 """What a part of a name says of the best attack: its intent, or the relation of the adversary to the ego."""
 
@@ -46,7 +48,7 @@ def test_all_intents_of_the_paper_and_two_found_ones_are_best_somewhere() -> Non
     of_the_paper = {label for label, _ in shipped_planners()}
     assert len(of_the_paper) == 7 and len(COMPOSED) == 2
     on_foot_and_bicycle = {entry.label for entry in unprotected_library()}
-    assert len(on_foot_and_bicycle) == 4
+    assert len(on_foot_and_bicycle) == 7
     assert {scenario.intents[0] for scenario in SHIPPED.values()} == of_the_paper | COMPOSED | on_foot_and_bicycle
 
 

@@ -138,6 +138,42 @@ def test_vehicles_with_a_gap_and_boxes_along_the_way(tmp_path: Path) -> None:
     assert file["written"]["words"] == WRITTEN.words
 
 
+def test_walkers_move_any_way_from_the_start(tmp_path: Path) -> None:
+    """The ego drives 10 m/s from 100 m on. A cyclist comes from 130 m ahead with 3 m/s, and they pass after 10 s,
+    so the attack may begin after 5 s. A pedestrian crosses from the right, another walks as the ego drives."""
+    walkers = [
+        {"id": "rider", "kind": "cyclist", "at": 130, "offset": -3, "heading": "against", "speed": 10.8},
+        {"id": "one", "at": 50, "offset": -5, "speed": 3.6},
+        {"id": "two", "at": 60, "offset": 6, "heading": "along", "speed": 3.6},
+    ]
+    draft = scene(
+        {"kind": "straight", "length": 500}, {"route": ["forward", "forward"], "speed": 36, "position": 100},
+        walkers=walkers, attack={"adversary": "rider", "asked": {"relation": "oncoming"}},
+    )  # fmt: skip
+    build_scenario(draft, tmp_path / "my.toml", WRITTEN)
+    file = tomllib.loads((tmp_path / "my.toml").read_text())
+    rider, (one, two) = file["cyclists"][0], file["pedestrians"]
+    assert (rider["x"], rider["y"], rider["speed"]) == (230.0, -4.6, 3.0)
+    assert abs(rider["heading"]) == pytest.approx(3.1416)
+    assert (one["heading"], one["speed"]) == (1.5708, 1.0)
+    assert (two["heading"], two["speed"]) == (0.0, 1.0)
+    assert file["window"]["trigger"] == pytest.approx(5.0, abs=0.1)
+
+
+def test_a_walker_beyond_the_junction_at_which_the_ego_turns(tmp_path: Path) -> None:
+    """The ego comes from the west, 1.6 m right of the middle, and turns right; 3 m farther right comes a cyclist."""
+    rider = {"id": "walker", "kind": "cyclist", "at": 130, "offset": -3, "straight_on": True, "heading": "against"}
+    places = {}
+    for position in (150, 160):
+        draft = scene(
+            {"kind": "crossing", "length": 300},
+            {"route": ["west_in", "south_out"], "speed": 36, "position": position}, walkers=[{**rider, "speed": 14}],
+        )  # fmt: skip
+        build_scenario(draft, tmp_path / "my.toml", WRITTEN)
+        places[position] = tomllib.loads((tmp_path / "my.toml").read_text())["cyclists"][0]
+    assert places[150]["y"] == pytest.approx(-4.6) and places[160]["x"] - places[150]["x"] == pytest.approx(10.0)
+
+
 def test_the_ego_has_green_and_who_crosses_has_red(tmp_path: Path) -> None:
     road = {"kind": "crossing", "lanes": 1, "control": "signals", "length": 300}
     build_scenario(scene(road, WEST_EAST, other(("north_in", "south_out"), arrives=0)), tmp_path / "my.toml", WRITTEN)
@@ -198,6 +234,8 @@ STRAIGHT, ALONG = {"kind": "straight", "length": 500}, {"route": ["forward", "fo
         (scene(STRAIGHT, ALONG, other(("forward", "forward"), gap=30) | {"id": "ego"}), "The id 'ego' is used twice"),
         (scene(STRAIGHT, ALONG, other(("forward", "forward"), gap=30), attack={"adversary": "nobody", "asked": {}}),
          "The attack names 'nobody', which is no vehicle or walker"),
+        (scene(STRAIGHT, ALONG, walkers=[{"id": "walker", "at": 50, "offset": -5, "speed": 20}]),
+         "'walker' goes 20 km/h, and a pedestrian at most 14."),
         (scene({"kind": "lane_drop"}, {"route": ["before", "after"], "speed": 36}, other(("before", "after"), gap=9)),
          "A lane_drop needs lanes = 2 or more"),
         (scene({"kind": "crossing", "length": 100}, {**WEST_EAST, "speed": 100}, other(("north_in", "south_out"),

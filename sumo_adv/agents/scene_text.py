@@ -225,7 +225,9 @@ def _bends(situation: Situation) -> str:
     return ", ".join(f"{t:+.0f} deg after {m} m" for t, m in zip(turned, ahead, strict=True))
 
 
-MOVEMENT_WORDS = {"left": "turning left", "right": "turning right", "across": "going across"}
+MOVEMENT_WORDS = {
+    "left": "turning left", "right": "turning right", "across": "going across", "back": "going across and back",
+}  # fmt: skip
 
 
 def _paths(alias: str, target: Target, situation: Situation) -> list[str]:
@@ -254,7 +256,7 @@ def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
     meets = "crosses" if c.kind == "crossing" else "merges into"
     signals = situation.traffic.signals.get(target.state.id, ())
     rule = "it must give way there" if path.gives_way else "it has priority there"
-    if path.movement == "across":
+    if path.movement in ("across", "back"):
         rule = "EGO does not expect it there"
     elif signals:
         rule = f"its signal is {SIGNAL_COLOURS.get(signals[0][2], 'unknown')}"
@@ -287,7 +289,8 @@ def _kind_words(target: Target) -> str:
         f" {limits.acceleration:g}, lateral {limits.lateral:g} m/s2 (these count, not those of a vehicle). It turns"
         f" {turns} and may be beside the road. A collision is serious where it is hit at {serious:.1f} m/s or more."
         " A careful driver of EGO notices it once it is in sight and moves towards EGO's path. Its ways have the"
-        ' movements "along" (straight on, or its lane) and "across" (over EGO\'s path).'
+        ' movements "along" (straight on, or its lane), "across" (over EGO\'s path) and "back" (over it, a half turn'
+        ' between the two distances of "turn", and over it again, where its conflict is).'
     )
 
 
@@ -303,6 +306,10 @@ def _relation(target: Target, situation: Situation) -> str:
     along = f"{gap:.1f} m {'ahead' if x > 0 else 'behind'} bumper to bumper" if gap > 0 else "overlapping in length"
     lateral = f"centres {abs(y):.1f} m apart sideways"
     hidden = ", hidden from EGO now" if target.hidden else ""
+    if is_unprotected(bv):
+        place = f"{abs(x):.1f} m {'ahead' if x > 0 else 'behind'}, {abs(y):.1f} m {side}"
+        oncoming = ", coming towards EGO" if target.relation == "oncoming" else ""
+        return f"{place}{oncoming}{hidden}. {_kind_words(target)}"
     match target.relation:
         case "leader" | "follower":
             return f"in EGO's lane, {along}, {pace}."
@@ -310,9 +317,6 @@ def _relation(target: Target, situation: Situation) -> str:
             return f"in a lane {side}, same direction, {along}, {lateral}, {pace}."
         case "oncoming":
             return f"oncoming {side}, {along}, {lateral}, {pace}."
-        case relation if is_unprotected(bv):
-            place = f"{abs(x):.1f} m {'ahead' if x > 0 else 'behind'}, {abs(y):.1f} m {side}"
-            return f"{place}{hidden}. {_kind_words(target)}"
         case relation:
             away = f"{math.hypot(x, y):.1f} m away in a straight line"
             return f"{relation}, {away}, from {side.removeprefix('to ')}{hidden}."

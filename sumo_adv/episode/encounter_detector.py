@@ -19,9 +19,9 @@ from sumo_adv.datatypes import Floats, Relation, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.road_place import place_of
-from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
+from sumo_adv.episode.unprotected import STANDING_SPEED_M_S, crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, same_layer, wrap
-from sumo_adv.road_users import is_motorcycle, is_unprotected
+from sumo_adv.road_users import RoadUser, is_motorcycle, is_unprotected, road_user
 from sumo_adv.simulation.network import PathAhead, RoadMap
 from sumo_adv.simulation.permissions import MOTOR
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
@@ -39,6 +39,7 @@ CONFLICT_TIMES_S = (1.5, 12.0)  # s from now until the ego is at the conflict
 SAME_LANE_OFFSET_M = 1.2  # m
 MIN_LOGGED_WAY_M = 1.0  # m; a shorter log shows no path
 BESIDE_OFFSET_M = 8.5  # m
+ONCOMING_ANGLE_RAD = 2.64  # rad between the headings of the ego and of oncoming traffic, at least
 BEHIND_DISTANCE_M = 45.0  # m behind the ego, for vehicles on the ego's path
 AHEAD_DISTANCE_M = 60.0  # m ahead of the ego, for vehicles on its path
 FAR_AHEAD_DISTANCE_M = 100.0  # m; the same if no vehicle is ranked otherwise
@@ -65,7 +66,7 @@ class RankedVehicle:
     @property
     def meets_ahead(self) -> bool:
         """Whether it can meet the ego only where their paths cross or merge."""
-        return self.relation in MEET_AHEAD
+        return self.relation in MEET_AHEAD or any(way.movement == "across" for way in self.ways)
 
 
 class EncounterDetector:
@@ -206,7 +207,8 @@ class EncounterDetector:
         if is_unprotected(bv):
             on_lane = bv.id not in drive.obstacles and bv.lane in self.road.lanes
             ways = unprotected_ways(bv, path, _ways(self.road, drive, bv) if on_lane else ())
-            return RankedVehicle(name, Relation.CROSSING, crossing_risk(ways, bv, ego), ways, bv.lane)
+            stands_to = Relation.ONCOMING if _rides_against(bv, ego, path) else Relation.CROSSING
+            return RankedVehicle(name, stands_to, crossing_risk(ways, bv, ego), ways, bv.lane)
         if bv.lane not in self.road.lanes:
             return None
         s, d = path.project(bv.x, bv.y)
@@ -224,7 +226,7 @@ class EncounterDetector:
                 if -BEHIND_DISTANCE_M < s < ahead
                 else 0.0
             )
-        elif level and turned > 2.64 and 1.2 < self.road.hand * d < BESIDE_OFFSET_M and s > 0:
+        elif level and turned > ONCOMING_ANGLE_RAD and 1.2 < self.road.hand * d < BESIDE_OFFSET_M and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
                 relation, risk = "oncoming", _oncoming_risk(s, bv.speed + ego.speed)
@@ -257,6 +259,14 @@ class EncounterDetector:
         sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading, vclass)
         same = [o for o, kind in sides if kind == "same"]
         return (0.8 if same else 0.42) * risk
+
+
+def _rides_against(bv: VehicleState, ego: VehicleState, path: Path) -> bool:
+    """Return whether a cyclist comes towards the ego, by its heading now or by that of its path beside the cyclist."""
+    s, _ = path.project(bv.x, bv.y)
+    headings = (ego.heading, float(path.at(np.asarray(s))[2]))
+    against = any(abs(wrap(bv.heading - heading)) > ONCOMING_ANGLE_RAD for heading in headings)
+    return s > 0 and against and bv.speed >= STANDING_SPEED_M_S and road_user(bv) is RoadUser.CYCLIST
 
 
 def _passes(bv: VehicleState, d: float, ego: VehicleState, path: Path) -> bool:

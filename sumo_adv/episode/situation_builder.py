@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
+from sumo_adv.datatypes import DriverModel, Floats, Role, Track, VehicleState
 from sumo_adv.drivers import model_of
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import lane_on_route
 from sumo_adv.episode.encounter_detector import WAY_AHEAD_M, RankedVehicle, continued
 from sumo_adv.episode.surroundings import Sight
-from sumo_adv.episode.unprotected import STANDING_SPEED_M_S, unprotected_ways
+from sumo_adv.episode.unprotected import STANDING_SPEED_M_S, unprotected_ways, ways_back
 from sumo_adv.geometry import PATH_STEP_M, Frame, Path, wrap
 from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.metrics.reference.sight import SightLimits
@@ -23,7 +23,6 @@ from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, PathAhead, RoadMap
 from sumo_adv.simulation.permissions import CAR
 from sumo_adv.situation import (
-    MEET_AHEAD,
     Baseline,
     OnPath,
     RoadAhead,
@@ -99,7 +98,7 @@ def spent(target: Target, lateral: float) -> bool:
     Returns:
         Whether no attack is feasible; False if the vehicle neither crosses nor merges.
     """
-    if target.relation not in MEET_AHEAD:
+    if not target.meets_ahead:
         return False
     k, square = max(int(target.station / PATH_STEP_M), 0), target.state.speed**2
     meeting = [
@@ -433,13 +432,15 @@ def _target(
     bv = state_at(track, time) if track is not None else None
     if bv is None:
         return None
-    lane = lane_on_route(road, bv, (), vclass)
+    placed = track is not None and track.role is Role.OBSTACLE  # a box of the scenario keeps to no lane
+    lane = None if placed else lane_on_route(road, bv, (), vclass)
     begin = 0.0 if lane is None else lane.station_at(bv.x, bv.y)
     farthest = FARTHEST_WAY_S * top_speed(bv)
     onward = [] if lane is None else road.ways(lane.id, begin, WAY_AHEAD_M, farthest=farthest, vclass=vclass)
     if is_unprotected(bv):
         small = unprotected_ways(bv, path, onward)
         turn = 0.0 if bv.speed < STANDING_SPEED_M_S else wrap(bv.heading - float(small[0].path.heading[0]))
+        small = (*small, *ways_back(bv, small, path))
         return Target(bv, ranked.relation, small, 0.0, 0.0, turn, (), ranked.risk, hand=road.hand)
     related = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in onward]
     ways = [replace(r, before_ego=goes_first(w.first, ego), bay=w.bay) for r, w in zip(related, onward, strict=True)]

@@ -2,7 +2,8 @@
 
 Their ways are not lanes. An ``along`` way goes straight on, or along the lane of a cyclist. An ``across`` way turns as
 tightly as the pedestrian or cyclist can, and then goes straight over the ego's path. A pedestrian or cyclist that moves
-has several ``across`` ways, whose turns begin one second after each other.
+has several ``across`` ways, whose turns begin one second after each other. A ``back`` way goes over the ego's path,
+makes a half turn, and leads over the path again.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
-from sumo_adv.geometry import PATH_STEP_M, Path, make_path, wrap
+from sumo_adv.geometry import PATH_STEP_M, Path, make_path, turned_back, wrap
 from sumo_adv.road_users import UNPROTECTED_LIMITS, UNPROTECTED_SPEEDS_M_S, RoadUser, is_unprotected, road_user
 from sumo_adv.simulation.network import PathAhead
 from sumo_adv.simulation.permissions import CYCLES, ON_FOOT
@@ -28,7 +29,16 @@ WAY_ACROSS_M = 30.0  # m; the length of a way after its turn
 TURN_ACCELERATION_M_S2 = 2.5  # m/s2 of lateral acceleration in a turn; more than is usual and less than the limit
 MIN_TURN_RADIUS_M = {RoadUser.PEDESTRIAN: 0.6, RoadUser.CYCLIST: 2.0}  # m
 ARC_STEP_RAD = 0.1  # rad
-MAX_PATH_DISTANCE_M = 25.0  # m to the conflict with the ego's path; a pedestrian needs 6 s for it
+TURNS_BACK_M = (0.5, 2.0, 3.5, 5.0)  # m past the middle of the ego's path
+HALF_TURN_STEPS = {RoadUser.PEDESTRIAN: (1, -1, 2, -2), RoadUser.CYCLIST: (15, -15, 17, -17)}
+"""Length of the half turn at each of ``TURNS_BACK_M``, in steps of a path, positive to the left.
+
+The radii are 0.16 m and 0.32 m on foot, 2.39 m and 2.71 m by bicycle. No two ways back lie on each other, so that an
+endpoint tells its way.
+"""
+MAX_HALF_TURN_SPEED_M_S = 0.45  # m/s, on foot; the motion may be a little faster, and stays below 0.5 m/s
+PAST_START_M = 10.0  # m; how far a way back leads beyond where it began
+MAX_PATH_DISTANCE_M = 25.0  # m of a way across to the conflict with the ego's path; a pedestrian needs 6 s for it
 EGO_TIMES_S = (1.5, 8.0)  # s until the ego is where the two meet
 START_DELAY_S = 0.5  # s that a pedestrian or cyclist needs to begin to move
 
@@ -123,6 +133,46 @@ def _across(state: VehicleState, user: RoadUser, ego_path: Path, after: float, *
     return make_path(points, tightest=UNPROTECTED_LIMITS[user].curvature, lateral=TURN_ACCELERATION_M_S2)
 
 
+def ways_back(state: VehicleState, ways: Sequence[ReferencePath], ego_path: Path) -> tuple[ReferencePath, ...]:
+    """Return ways that go over the ego's path, turn back, and cross it again. That second place is their conflict.
+
+    Args:
+        state: The state of a pedestrian or cyclist.
+        ways: Its ways that do not turn back. The first of them that crosses the ego's path is followed until the turn.
+        ego_path: The ego's path.
+
+    Returns:
+        A way for each of ``TURNS_BACK_M`` with movement ``back``; empty if no way crosses the ego's path.
+    """
+    user, onto = road_user(state), next((w for w in ways if w.conflict and w.conflict.kind == "crossing"), None)
+    if onto is None or onto.conflict is None:
+        return ()
+    at = round(onto.conflict.bv_s / PATH_STEP_M)  # the last sample before the middle of the ego's path
+    middle, made = onto.conflict.bv_s + abs(float(onto.ego_d[at])), []
+    for beyond, steps in zip(TURNS_BACK_M, HALF_TURN_STEPS[user], strict=True):
+        begins = round((middle + beyond) / PATH_STEP_M)
+        radius = abs(steps) * PATH_STEP_M / math.pi
+        fastest = math.sqrt(TURN_ACCELERATION_M_S2 * radius)
+        if user is RoadUser.PEDESTRIAN:
+            fastest = min(fastest, MAX_HALF_TURN_SPEED_M_S)
+        ends = begins + abs(steps)
+        length = begins * PATH_STEP_M + PAST_START_M
+        way = relate(
+            turned_back(onto.path, begins * PATH_STEP_M, steps, length, fastest), "back", math.inf, False, ego_path
+        )
+        last = relate(_from(way.path, ends), "back", math.inf, False, ego_path).conflict
+        if last is not None:
+            last = replace(last, bv_s=last.bv_s + ends * PATH_STEP_M)
+            made.append(replace(way, conflict=last, turn=(begins * PATH_STEP_M, ends * PATH_STEP_M)))
+    return tuple(made)
+
+
+def _from(path: Path, first: int) -> Path:
+    """Return the part of a path from a sample on."""
+    here = slice(first, None)
+    return Path(path.x[here], path.y[here], path.heading[here], path.curvature[here], path.speed[here], path.z)
+
+
 def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: VehicleState) -> float:
     """Rate how dangerous a pedestrian or cyclist can be.
 
@@ -138,7 +188,7 @@ def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: Vehic
     best = 0.0
     for way in ways:
         conflict = way.conflict
-        if conflict is None or conflict.bv_s > MAX_PATH_DISTANCE_M:
+        if conflict is None or (way.movement == "across" and conflict.bv_s > MAX_PATH_DISTANCE_M):
             continue
         ego_time = conflict.ego_s / max(ego.speed, 1.0)
         earliest = START_DELAY_S + conflict.bv_s / UNPROTECTED_SPEEDS_M_S[user]

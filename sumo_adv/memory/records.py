@@ -15,7 +15,7 @@ from sumo_adv.errors import BankError
 
 RELATIONS = (
     "leader", "follower", "neighbour", "oncoming", "crossing_left", "crossing_straight", "crossing_right", "merging",
-    "cyclist", "cyclist_hidden", "pedestrian", "pedestrian_hidden",
+    "cyclist", "cyclist_straight", "cyclist_hidden", "pedestrian", "pedestrian_hidden",
 )  # fmt: skip
 """The possible relations of a BV to the ego, and kinds of BV. The field ``applies`` of an intent lists some of them."""
 

@@ -28,6 +28,7 @@ TURN_COST_M_RAD = 4.0  # cost of a heading difference when an endpoint's way is 
 WAY_CHANGE_COST_M = 0.5  # another way must be this much nearer to an endpoint than the present one
 COINCIDING_WAYS_DISTANCE_M = 0.4  # ways this near to each other still coincide
 MAX_LATERAL_MOVE_S = 20.0  # bound of ``lateral_time``, because the move of a vehicle that hardly moves takes minutes
+MAX_TURN_ON_WAY_BACK_RAD = 0.8  # heading difference up to which an endpoint chooses a way that turns back
 COARSE_WAY_STRIDE = 12  # the first search for the nearest sample of a way looks at every twelfth
 COARSE_NEIGHBOURS = np.arange(1 - COARSE_WAY_STRIDE, COARSE_WAY_STRIDE)
 SUMO_TURN_COST_M_RAD, SUMO_WAY_CHANGE_COST_M = 2.2, 2.0  # SUMO's costs of heading and of another way (moveToXY)
@@ -85,6 +86,7 @@ class AdversaryBatch:
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
         self._unprotected = np.array([is_unprotected(t.state) for t in self.targets])
+        self._turned = np.array([-np.inf if w.turn is None else w.turn[1] for w in ways])  # where a half turn ends
 
     def begin(self) -> Motion:
         """Return the motion of all vehicles at the trigger."""
@@ -198,6 +200,9 @@ class AdversaryBatch:
     def aim(self, motion: Motion, ends: Sequence[Endpoint | None], before: PathEndpoint) -> PathEndpoint:
         """Put each vehicle on the way that leads to its endpoint, and return goals along these ways.
 
+        A way that turns back is chosen only by an endpoint that goes its way after the turn. Other ways lead to the
+        places before the turn.
+
         Args:
             motion: The vehicles' motion.
             ends: The endpoint of each vehicle in the world, or None. A vehicle without an endpoint keeps its way and
@@ -216,7 +221,8 @@ class AdversaryBatch:
             s, d, turned = self._project(row, x[vehicles], y[vehicles], h[vehicles])
             same = row == self.rows.row[vehicles]
             cost = np.abs(d) + TURN_COST_M_RAD * turned - WAY_CHANGE_COST_M * same
-            better = cost < least[vehicles]
+            after = (s > self._turned[row] - PATH_STEP_M) & (turned < MAX_TURN_ON_WAY_BACK_RAD)
+            better = (cost < least[vehicles]) & (same | after | np.isinf(self._turned[row]))
             if here is not None:
                 part = motion._replace(s=motion.s[vehicles], d=motion.d[vehicles], slope=motion.slope[vehicles])
                 there = pose(Batch, part, self.rows.on(row))
@@ -228,12 +234,20 @@ class AdversaryBatch:
         return PathEndpoint(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
 
     def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
-        """Project poses ``(n,)`` onto the ways ``row``: stations and offsets [m], and heading differences [rad]."""
+        """Project poses ``(n,)`` onto the ways ``row``: stations and offsets [m], and heading differences [rad].
+
+        The two legs of a way that turns back lie beside each other. The heading of the pose tells the leg.
+        """
         table, last = self.rows.table, self.rows.last[row]
         coarse, way = self._coarse[row], row[:, None]
         first = _nearest(coarse[:, 0], coarse[:, 1], x, y) * COARSE_WAY_STRIDE
         near = np.minimum(np.maximum(first[:, None] + COARSE_NEIGHBOURS, 0), last[:, None])
         i = near[np.arange(len(x)), _nearest(table[way, 0, near], table[way, 1, near], x, y)]
+        back = np.flatnonzero(np.isfinite(self._turned[row]))
+        if len(back):
+            px, py, heading = np.moveaxis(table[row[back], :3], 1, 0)
+            px = np.where(np.cos(h[back, None] - heading) < 0.0, np.inf, px)
+            i[back] = _nearest(px, py, x[back], y[back])
         px, py, heading = table[row, :3, i].T
         dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
         along, aside = c * dx + s * dy, -s * dx + c * dy
@@ -321,7 +335,7 @@ def _nearest(place_x: Floats, place_y: Floats, x: Floats, y: Floats) -> Any:
 def _inside(target: Target) -> tuple[float, float]:
     """Return the stations [m] at which a BV enters and leaves the junction where its ways part."""
     begins = min(w.junction for w in target.ways)
-    meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None]
+    meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None and w.turn is None]
     return begins, max(meets, default=begins) + AFTER_MERGE_M
 
 

@@ -93,6 +93,8 @@ def planner_road(situation: Situation, name: str) -> dict[str, Any]:
             "movement": mirrored(way.movement, hand), "junction": min(way.junction, NO_ARRIVAL_S), "conflict": None,
             "centreline": _points(situation, way.path),
         }  # fmt: skip
+        if way.turn is not None:
+            entry["turn"] = list(way.turn)
         if way.conflict is not None:
             c = way.conflict
             cx, cy, ch = frame.to_local(c.x, c.y, c.heading)

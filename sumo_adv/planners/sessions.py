@@ -51,9 +51,11 @@ TRUSTED = frozenset(
         "d25d0f866d39ce2fc9e483f480f39a629f9968eb8d80a0f9aef8b569fb64de64",  # nudge
         "dbc945d6672740b2396dc8354633ab1b1672f1c19a478c836270063d66399e54",  # tail of the lane shift
         "3421bf14c28f8f4a68dc8d44d9652e1116ad720bf4a3593ef8414dc2532dcff3",  # slow
-        "b4c1d56f485bf2769ab5c617628f09b737e2707fd514fdff464e69b7ab1c93f1",  # swerve
-        "c157760ef0af669d546e1d6d2844fb0e703cf843e3feba37523bdcd844ca42fb",  # cross
+        "c09f1cc28a10d892f50390c3c23209389d58c7fc3a86a3b5c052a90fbea2c3a4",  # swerve
+        "1bbcad4a64fcffb80ea741e5395f26dc7a79bcd14c9367967aace3af5cf32c6e",  # cross
         "d75adb584fe0d8160ebfc7de895261a77dabfe13b821196b7b7e22cd1b8beb41",  # freeze
+        "dd3f8c1b6715943daab7967516ba077268ed3b5fd3c79544b7a516993d6f0f4f",  # turn_back
+        "16179d9fed3030023066e07ae717c4b97ea69434fbfcf4337898f73c23882f4c",  # onward
         "d917bdd6169126a7e3d25c0f9a9f326c229ba8e2feba6c49a19575269924b006",  # free, of free motions
         "cd088138c5c7ecfc11d5993c76a64d84d5a3d01fbb99ac783529e977341b1993",  # beside, of supports
         "5be1f147619f6221ea4bf3b634a4a60e47832fcc3ef4426ada7f2f7d4324e324",  # pace, of supports

@@ -36,6 +36,7 @@ CONFLICT_TIME_S = 6.0
 
 UNPROTECTED_SIZES_M = {
     "pedestrian": (0.5, 0.5), "pedestrian_hidden": (0.5, 0.5), "cyclist": (1.8, 0.6), "cyclist_hidden": (1.8, 0.6),
+    "cyclist_straight": (1.8, 0.6),
 }  # fmt: skip
 """Length and width [m] of pedestrians and cyclists. They are ``UNPROTECTED_OFFSET_M`` metres beside the ego's path."""
 
@@ -161,11 +162,16 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
 
 
 def _small(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
-    """Place a pedestrian who stands beside the road at first, or a cyclist who rides along it. Both may cross."""
+    """Place a pedestrian who stands beside the road at first, or a cyclist who rides along it. Both may cross and turn
+    back; a ``cyclist_straight`` rides where the ego's path crosses its way."""
     cyclist = relation.startswith("cyclist")
     across, at = _meeting("crossing", "across", NO_ARRIVAL_S, math.pi / 2, UNPROTECTED_OFFSET_M, 15, curvature)
     along = [list(on_arc(CONFLICT_STATION_M + 2.0 * i, -UNPROTECTED_OFFSET_M, curvature)[:2]) for i in range(60)]
-    ways = [{"movement": "along", "junction": NO_ARRIVAL_S, "conflict": None, "centreline": along}] if cyclist else []
+    onward = {"movement": "along", "junction": NO_ARRIVAL_S, "conflict": None, "centreline": along}
+    if relation == "cyclist_straight":
+        onward |= {"conflict": {**across["conflict"], "heading": 0.0, "angle": math.pi / 2}}
+    ways = [onward] if cyclist else []
+    back = _back(across, at)
     pace, ch = 4.0 if cyclist else 1.5, on_arc(CONFLICT_STATION_M, 0.0, curvature)[2]
     travelled = min(pace * time, 20.0)
     station = CONFLICT_STATION_M + travelled
@@ -179,10 +185,20 @@ def _small(name: str, relation: str, curvature: float, speed: float, time: float
         "length": UNPROTECTED_SIZES_M[relation][0], "width": UNPROTECTED_SIZES_M[relation][1],
     }  # fmt: skip
     road = _road("crossing", -UNPROTECTED_OFFSET_M, curvature, speed_now, (*at(0.0)[:2], heading), across)
-    fastest = UNPROTECTED_SPEEDS_M_S[RoadUser(relation.removesuffix("_hidden"))]
-    road |= {"ways": [*ways, across], "sides": [], "fastest": fastest}
-    arrivals = [NO_ARRIVAL_S] * len(ways) + [_arrival(speed, time)]
+    fastest = UNPROTECTED_SPEEDS_M_S[RoadUser(relation.partition("_")[0])]
+    road |= {"ways": [*ways, across, back], "sides": [], "fastest": fastest}
+    arrivals = [_arrival(speed, time) if way["conflict"] else NO_ARRIVAL_S for way in road["ways"]]
     return Probe(name, bv, _ego(curvature, speed, time, arrivals), road)
+
+
+def _back(across: dict[str, Any], at: Callable[[float], Pose]) -> dict[str, Any]:
+    """Make a way that follows ``across`` to 2 m past the ego's path, turns within 2 m, and leads back on it."""
+    turn = UNPROTECTED_OFFSET_M + 2.0
+    line = [list(at(min(2.0 * i, 2.0 * turn + 2.0 - 2.0 * i))[:2]) for i in range(15)]
+    meets = across["conflict"] | {
+        "heading": wrap(across["conflict"]["heading"] + math.pi), "bv_distance": turn + 4.0, "angle": -math.pi / 2,
+    }  # fmt: skip
+    return across | {"movement": "back", "conflict": meets, "centreline": line, "turn": [turn, turn + 2.0]}
 
 
 def _bv(pose: Pose, speed: float, travelled: float, time: float) -> dict[str, Any]:

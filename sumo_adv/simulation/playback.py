@@ -6,8 +6,8 @@ vehicle. Then the ego gets its driver. Each other vehicle is handed to SUMO once
 appears. It is handed to SUMO only if its place is free. Vehicles without a route are never handed over. Once the ego's
 driver or an attack drives a vehicle, the log never moves it again.
 
-Other objects are boxes beside SUMO. The exception is a parked object with its centre in a lane: it is a standing SUMO
-vehicle, so that SUMO's drivers see it.
+Other objects are boxes beside SUMO. Two kinds are SUMO vehicles, so that SUMO's drivers see them: a parked object with
+its centre in a lane, and a pedestrian or cyclist of the scenario who moves.
 """
 
 from __future__ import annotations
@@ -63,9 +63,12 @@ class Playback:
         self._vehicles = {name: r for name, r in recorded.items() if r.track.kind == "vehicle"}
         props: dict[str, Prop | PlayedObject] = {p.id: p for p in spec.props}
         under = {p.id: road.lane_at(p.x, p.y, p.heading) for p in spec.props if p.speed == 0.0}
-        self._standing = {p.id: (p, road.lanes[at[0]].edge) for p in spec.props if (at := under.get(p.id))}
+        self._in_sumo: dict[str, tuple[Prop, tuple[str, ...]]] = {
+            p.id: (p, (road.lanes[at[0]].edge,)) for p in spec.props if (at := under.get(p.id))
+        }
+        self._in_sumo |= {p.id: (p, ()) for p in spec.props if p.speed > 0.0 and p.kind in OBJECTS}
         others = {name: r for name, r in recorded.items() if name not in self._vehicles}
-        self._boxes = {n: p for n, p in {**props, **others}.items() if n not in self._standing}
+        self._boxes = {n: p for n, p in {**props, **others}.items() if n not in self._in_sumo}
         self._beside = frozenset[str]()
         self._placed = {p.id: p.kind for p in spec.props}
         self._lanes = road.lanes
@@ -209,7 +212,7 @@ class Playback:
             else:
                 self._keep_apart(name, vehicle, pose, raw[name][4])
             driven[name] = self._moved[name] = pose
-        self._stand(raw, then, driven)
+        self._place(raw, then, driven)
         for name in sorted(self._boxes.keys() & driven.keys() - self._free):
             self._spawn(self._boxes[name], (), driven[name])  # SUMO's drivers see it from now on
             self._free.add(name)
@@ -249,9 +252,9 @@ class Playback:
                 self._stage.set_signal(light, state)
                 self._shown[light] = state
 
-    def _stand(self, raw: Mapping[str, RawState], then: float, driven: dict[str, Pose]) -> None:
-        """Keep parked objects at their places in SUMO."""
-        for name, (prop, edge) in self._standing.items():
+    def _place(self, raw: Mapping[str, RawState], then: float, driven: dict[str, Pose]) -> None:
+        """Keep the objects that are SUMO vehicles at their places."""
+        for name, (prop, edges) in self._in_sumo.items():
             if name in driven or name in self._free:
                 self._free.add(name)
                 continue
@@ -261,7 +264,7 @@ class Playback:
                     self._gone.append(name)
                 continue
             if name not in raw:
-                self._spawn(prop, (edge,), pose)
+                self._spawn(prop, edges, pose)
             driven[name] = self._moved[name] = pose
 
     def _spawn(self, vehicle: Prop | PlayedObject, edges: tuple[str, ...], pose: Pose) -> None:

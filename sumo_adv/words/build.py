@@ -1,8 +1,8 @@
 """Turn a draft into files: the scenario (TOML) and, under the same name, its demand, network and signals.
 
 Vehicles that are to meet the ego start at a place from which, at constant speed, they arrive when the draft says.
-Pedestrians, cyclists and parked vehicles are placed along the ego's way. At traffic lights, the ego has green, or the
-lights follow the phases of the draft.
+Pedestrians, cyclists and parked vehicles are placed along the ego's way, or straight on from its start. At traffic
+lights, the ego has green, or the lights follow the phases of the draft.
 """
 
 from __future__ import annotations
@@ -14,11 +14,14 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
+
 from sumo_adv.asked import RequestOrigin
 from sumo_adv.datatypes import MAX_ADVERSARIES
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines, toml_text
-from sumo_adv.words.draft import AttackDraft, EgoDraft, LightsPhase, SceneDraft, VehicleDraft
+from sumo_adv.road_users import UNPROTECTED_SPEEDS_M_S, RoadUser
+from sumo_adv.words.draft import AttackDraft, EgoDraft, LightsPhase, SceneDraft, VehicleDraft, WalkerDraft
 from sumo_adv.words.ego_way import come_after, time_to, way_tables
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
 from sumo_adv.words.scripts import check_script, script_tables
@@ -41,6 +44,7 @@ ACTOR_SIZES_M = {
 }  # fmt: skip
 """The length and width of each type [m]."""
 PEDESTRIAN_SIZE_M = (0.5, 0.5)
+MEETING_STEP_S = 0.1  # step of the search for the time at which the ego is nearest to a walker
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +142,7 @@ def _ego_start(scene: SceneDraft, ego: VehicleRoute, drives: dict[str, VehicleRo
     for vehicle in order:
         met = meeting(ego, drives[vehicle.id]) if vehicle.arrives is not None or vehicle.stands else None
         if met is not None:
-            before = come_after(scene.ego, _seconds(vehicle, drives[vehicle.id], met[1]))
+            (before,) = come_after(scene.ego, _seconds(vehicle, drives[vehicle.id], met[1]))
             start = max(met[0] - before, length + 1.0)
             if time_to(scene.ego, met[0] - start) < MIN_TIME_TO_MEETING_S:
                 raise UsageError(
@@ -177,7 +181,8 @@ def _place(v: VehicleDraft, drive: VehicleRoute, ego: EgoDraft, ego_drive: Vehic
         raise UsageError(f"'{v.id}' begins on the ego's edge, so it needs a gap, not arrives.")
     if met is None or meets is None:
         meets = MEETING_TIME_S
-        x, y, _ = ego_drive.at(start + come_after(ego, meets))
+        (come,) = come_after(ego, meets)
+        x, y, _ = ego_drive.at(start + come)
         station = drive.nearest(x, y)
     else:
         station = met[1]
@@ -279,7 +284,9 @@ def _scenario(
     """Return the text of the scenario."""
     attack = scene.attack
     walkers, tables = _boxes(scene, ego, start)
-    meets = {p.draft.id: p.meets for p in placed} | {w.id: time_to(scene.ego, w.at) for w in scene.walkers}
+    meets = {p.draft.id: p.meets for p in placed} | {
+        w.id: _nearest_time(w, scene.ego, ego, start) for w in scene.walkers
+    }
     met = min((time for name in attack.attackers if (time := meets.get(name)) is not None), default=None)
     trigger = FREE_TRIGGER_TIME_S if met is None else max(round(met - TRIGGER_BEFORE_MEETING_S, 1), MIN_TRIGGER_TIME_S)
     name = scene.road.name if scene.road.kind == "shipped" else network.name
@@ -343,13 +350,38 @@ def _boxes(scene: SceneDraft, ego: VehicleRoute, start: float) -> tuple[dict[str
         x, y, heading = _beside(ego, start + parked.at, parked.offset)
         tables.append(_box("parked", x, y, heading, *ACTOR_SIZES_M[parked.type]))
     for walker in scene.walkers:
-        x, y, heading = _beside(ego, start + walker.at, walker.offset)
-        turned = heading - math.copysign(math.pi / 2, walker.offset)
+        x, y, heading = _walker_start(walker, ego, start)
         ids[walker.id] = f"{walker.kind}{counts[walker.kind]}"
         counts[walker.kind] += 1
         size = PEDESTRIAN_SIZE_M if walker.kind == "pedestrian" else ACTOR_SIZES_M["bicycle"]
-        tables.append(_box(f"{walker.kind}s", x, y, turned, *size))
+        tables.append(_box(f"{walker.kind}s", x, y, heading, *size, walker.speed / 3.6))
     return ids, tables
+
+
+def _walker_start(walker: WalkerDraft, ego: VehicleRoute, start: float) -> tuple[float, float, float]:
+    """Return x, y [m] and heading [rad] of a pedestrian or cyclist at the start; check its speed."""
+    fastest = UNPROTECTED_SPEEDS_M_S[RoadUser(walker.kind)] * 3.6
+    if walker.speed > fastest:
+        raise UsageError(f"'{walker.id}' goes {walker.speed:g} km/h, and a {walker.kind} at most {fastest:.0f}.")
+    if walker.straight_on:
+        x, y, heading = ego.at(start)
+        x, y = x + walker.at * math.cos(heading), y + walker.at * math.sin(heading)
+        x, y = x - walker.offset * math.sin(heading), y + walker.offset * math.cos(heading)
+    else:
+        x, y, heading = _beside(ego, start + walker.at, walker.offset)
+    turns = {"across": -math.copysign(math.pi / 2, walker.offset), "along": 0.0, "against": math.pi}
+    return x, y, heading + turns[walker.heading]
+
+
+def _nearest_time(walker: WalkerDraft, moves: EgoDraft, ego: VehicleRoute, start: float) -> float:
+    """Return when the ego is nearest to a pedestrian or cyclist who stands, or goes straight on [s]."""
+    if walker.speed == 0 and not walker.straight_on:
+        return time_to(moves, walker.at)
+    x, y, heading = _walker_start(walker, ego, start)
+    pace, times = walker.speed / 3.6, MEETING_STEP_S * np.arange(round(DEMAND_DURATION_S / MEETING_STEP_S))
+    places = np.array([ego.at(start + come)[:2] for come in come_after(moves, *times)])
+    there = np.column_stack([x + pace * times * math.cos(heading), y + pace * times * math.sin(heading)])
+    return float(times[np.argmin(np.hypot(*(places - there).T))])
 
 
 def _beside(ego: VehicleRoute, station: float, offset: float) -> tuple[float, float, float]:
@@ -363,7 +395,9 @@ def _table(name: str, table: Mapping[str, Any]) -> str:
     return "\n".join(["", f"[{name}]", *toml_lines(table), ""])
 
 
-def _box(table: str, x: float, y: float, heading: float, length: float, width: float) -> str:
-    """Return a TOML table of a box that stands beside the road."""
+def _box(table: str, x: float, y: float, heading: float, length: float, width: float, speed: float = 0.0) -> str:
+    """Return a TOML table of a box that stands, or goes straight on."""
     turned = math.remainder(heading, math.tau)
-    return f"\n[[{table}]]\nx = {x:.2f}\ny = {y:.2f}\nheading = {turned:.4f}\nlength = {length}\nwidth = {width}\n"
+    moves = f"speed = {speed:.2f}\n" if speed else ""
+    place = f"x = {x:.2f}\ny = {y:.2f}\nheading = {turned:.4f}\n"
+    return f"\n[[{table}]]\n{place}length = {length}\nwidth = {width}\n{moves}"

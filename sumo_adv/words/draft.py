@@ -101,13 +101,18 @@ class VehicleDraft(_Part):
 
 
 class WalkerDraft(_Part):
-    """A pedestrian or cyclist who stands beside the road. at: m along the ego's way from its front at the start of
-    the scene. offset: m from the middle of the ego's lane, left positive."""
+    """A pedestrian or cyclist. at: m along the ego's way from its front at the start of the scene. offset: m from the
+    middle of the ego's lane, left positive. straight_on: at counts straight on where the ego's way turns. heading:
+    across (over the ego's way), along (as the ego goes) or against (towards the ego). speed: 0 for one who stands;
+    others go straight on from the start, until the attack begins, or all the time if they are no adversary."""
 
     id: Name
     kind: Literal["pedestrian", "cyclist"] = "pedestrian"
     at: float = Field(ge=5, le=1500)
     offset: float = Field(ge=-20, le=20)
+    straight_on: bool = False
+    heading: Literal["across", "along", "against"] = "across"
+    speed: Annotated[float, Field(ge=0, le=28)] = 0.0
 
 
 class ParkedDraft(_Part):

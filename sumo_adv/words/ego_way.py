@@ -48,15 +48,15 @@ def way_tables(ego: EgoDraft) -> list[str]:
     return ["\n".join(["", f"[[{name}]]", *toml_lines(row), ""]) for name, row in rows]
 
 
-def come_after(ego: EgoDraft, seconds: float) -> float:
-    """Return how far the ego has come after some time [m].
+def come_after(ego: EgoDraft, *seconds: float) -> list[float]:
+    """Return how far the ego has come after some times [m].
 
     Args:
         ego: The ego of a draft.
-        seconds: The time after the start [s].
+        *seconds: Times after the start [s].
     """
     time, come = _motion(ego)
-    return float(np.interp(seconds, time, come))
+    return [float(each) for each in np.interp(seconds, time, come)]
 
 
 def time_to(ego: EgoDraft, distance: float) -> float:

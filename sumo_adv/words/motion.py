@@ -485,5 +485,6 @@ def _where(scene: Scene, a: PathTrack, b: PathTrack) -> str:
     }  # fmt: skip
     side = "left" if b.d[0] > 0 else "right"
     if road_user(scene.adversary) is not RoadUser.VEHICLE:
-        return f"{b.s[0] - a.s[0]:.0f} m ahead, beside EGO's way, on its {side}"
+        oncoming = ", coming towards EGO" if scene.relation == "oncoming" else ""
+        return f"{b.s[0] - a.s[0]:.0f} m ahead, beside EGO's way, on its {side}{oncoming}"
     return f"{words.get(scene.relation, scene.relation)}, on its {side}"

@@ -1,5 +1,6 @@
 # Cyclist Swerve, mode "swerve"
-# Rides on at its own pace until the ego is about to pass, and then swings out into the ego's path.
+# Rides on at its own pace, the ego's way or against it, until the ego is about to pass, and then swings out into the
+# ego's path.
 PARAMETERS = {
     "before": (1.5, 0.6, 4.0, "s", "how long before the ego's front reaches its rear wheel it swings out"),
     "swing": (1.8, 1.0, 4.0, "s", "how long that takes"),
@@ -20,7 +21,8 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 
 
 def ahead(bv, left, speed, time):
-    """Further along the road by what it rides in the time, and to the left."""
-    pose = (bv["x"], bv["y"], bv["road_heading"])
-    x, y = offset(pose, (bv["speed"] + speed) / 2 * time, left)
-    return {"x": x, "y": y, "heading": bv["road_heading"], "speed": speed, "time": time}
+    """Further on by what it rides in the time, the ego's way or against it, and to the left of the ego's path."""
+    way = 1.0 if abs(bv["relative_heading"]) < 1.5708 else -1.0
+    heading = bv["road_heading"] if way > 0.0 else wrap(bv["road_heading"] + 3.141593)
+    x, y = offset((bv["x"], bv["y"], heading), (bv["speed"] + speed) / 2 * time, way * left)
+    return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time}
