@@ -58,9 +58,9 @@ def test_evidence_of_a_verdict_keeps_its_fields() -> None:
 
 def test_evidence_about_the_unknown_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
-        with pytest.raises(BankError, match="no such intent"):
+        with pytest.raises(BankError, match="lacks the intent"):
             bank.record(evidence())
-        with pytest.raises(BankError, match="no such planner"):
+        with pytest.raises(BankError, match="lacks the planner"):
             bank.record(evidence(), intent=BRAKING)
         with pytest.raises(BankError, match="another planner"):
             bank.record(evidence(), intent=BRAKING, planner=CUT_PLANNER)

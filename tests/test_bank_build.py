@@ -75,7 +75,7 @@ def test_wrong_sources_are_refused_and_the_old_bank_stays(tmp_path: Path) -> Non
             build(folder, target, parse)
     intent.write_text(INTENT)
     (folder / "braking" / "plain.py").write_text("PARAMETERS = {(\n")
-    with pytest.raises(BankError, match=r"plain\.py is no planner"):
+    with pytest.raises(BankError, match=r"plain\.py is not a planner"):
         build(folder, target, parse)
     for file in (folder / "braking").glob("*.py"):
         file.unlink()

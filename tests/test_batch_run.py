@@ -129,7 +129,7 @@ def test_the_same_again_does_only_what_is_missing(program: Program, whole: tuple
 def test_another_plan_in_the_same_folder_says_what_differs(program: Program, whole: tuple[Program, Done]) -> None:
     out = again(program, whole)
     more = ("batch", *INPUTS, "--seeds", "3", *QUICK, "--out", "out")
-    refused(program.here(*more), 2, "seeds were 0, 1, are 0, 1, 2", "--force")
+    refused(program.here(*more), 2, "seeds were 0, 1, now 0, 1, 2", "--force")
     refused(program.here(*SMALL, "--learn", "after"), 2, "learn: off then, after now", "another --out")
     before = table(out)
     report = summary(program.here(*more, "--force", "--json"))

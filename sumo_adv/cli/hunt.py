@@ -120,13 +120,15 @@ def hunt(
     if not quiet:
         typer.echo(f"Hunting for {attack.minutes:g} min; a line follows as episodes end.")
     lines = _Lines(quiet=quiet)
-    found = hunted(
-        given, ego=ego, minutes=attack.minutes, distinct=attack.distinct, out=output.out or Path("runs") / "hunt",
-        **asdict(search), **asdict(running), settings_file=settings_file, pages=not output.no_pages,
-        tell=None if quiet else lines.tell, stopping=_stopping, note=None if quiet else typer.echo,
-        **named_settings(attack),
-    )  # fmt: skip
-    lines.end()
+    try:
+        found = hunted(
+            given, ego=ego, minutes=attack.minutes, distinct=attack.distinct, out=output.out or Path("runs") / "hunt",
+            **asdict(search), **asdict(running), settings_file=settings_file, pages=not output.no_pages,
+            tell=None if quiet else lines.tell, stopping=_stopping, note=None if quiet else typer.echo,
+            **named_settings(attack),
+        )  # fmt: skip
+    finally:
+        lines.end()
     if quiet:
         typer.echo(json.dumps(_document(found.found, found.rows)))
     else:
