@@ -220,9 +220,9 @@ def sign_of(letter: str) -> str | None:
     Returns:
         ``stop`` or ``yield``; None if the ego does not have to give way.
     """
-    if letter in "sw":
+    if letter in {"s", "w"}:
         return "stop"
-    return "yield" if letter in "mgo=" else None
+    return "yield" if letter in {"m", "g", "o", "="} else None
 
 
 class RightOfWay:
