@@ -56,6 +56,18 @@ def test_a_cut_in_comes_from_the_left_and_brakes_after_it() -> None:
     assert misfits(compare(asked, seen(cut_in()))) == ()
 
 
+def test_a_lane_change_of_the_ego_is_told_by_the_lanes() -> None:
+    """Over the line after three seconds, from the rightmost lane to the next one, and back a second later."""
+    lanes = ("main_0",) * 30 + ("main_1",) * 10 + ("main_0",) * 21
+    motion = observe(Scene(replace(EGO, lane=lanes), cut_in(), (), WAY, "neighbour", False, None, 0.0))
+    assert motion is not None
+    told = [line for line in motion.words.splitlines() if "changes to the lane" in line]
+    assert told == [
+        "EGO changes to the lane on its left; it is over the line at 3.0 s.",
+        "EGO changes to the lane on its right; it is over the line at 4.0 s.",
+    ]
+
+
 def test_a_vehicle_that_turns_into_the_way_comes_across_and_then_enters() -> None:
     """Northward at x = 30 m from y = -10 m with 5 m/s, and from 2 s on eastward."""
     y = np.minimum(-10.0 + 5.0 * TIME, 0.0)

@@ -272,6 +272,14 @@ def _what_happened(played: Played) -> str:
         return f"{lines[0]} No attack began: {outcome['reason']}"
     count = len(outcome["attempts"])
     lines.append(f"The best of {count} attempts reached the level {played.level} (wanted: {outcome['goal']}).")
+    if played.level is Level.COLLISION and not played.reached:
+        lines.append(
+            "No reference driver avoids that collision. Give the EGO more time or room, or ask for a lower level."
+        )
+    if played.reading is not None and not played.reading.fits:
+        lines.append(
+            "It fits by the rules, but a reader who sees its motion alone says that it is not what was asked for."
+        )
     lines += [f"Missing: {fault}" for fault in played.misfits]
     lines += [holds] if (holds := held(asked["parts"])) else []
     gates = outcome["outcome"]["failed_gates"]

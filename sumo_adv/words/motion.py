@@ -36,7 +36,6 @@ MAX_BESIDE_OFFSET_M = 4.5  # maximum offset of a vehicle beside the ego
 AFTER_APPROACH_S = 3.0  # how long after the nearest approach events count if nothing is hit
 MAX_DESCRIBED_OTHERS = 4  # maximum number of other vehicles in the description, nearest first
 DESCRIPTION_STEP_S = 1.0  # between the lines of the description
-LANE_CHANGE_STATES = 5  # before and after the ego is over a line; they show to which side it moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,10 +426,9 @@ def _lane_changes(ego: Track, t: Floats) -> list[str]:
     """Say when the ego comes into another lane of its road."""
     lines = []
     for k, (before, after) in enumerate(pairwise(ego.lane), start=1):
-        if before != after and before.rpartition("_")[0] == after.rpartition("_")[0] and not after.startswith(":"):
-            a, b = max(k - LANE_CHANGE_STATES, 0), min(k + LANE_CHANGE_STATES, len(t) - 1)
-            dx, dy, heading = ego.x[b] - ego.x[a], ego.y[b] - ego.y[a], ego.heading[a]
-            side = "left" if dy * np.cos(heading) > dx * np.sin(heading) else "right"
+        (old, _, was), (new, _, now) = before.rpartition("_"), after.rpartition("_")
+        if before != after and old == new and not new.startswith(":"):
+            side = "left" if int(now) > int(was) else "right"  # SUMO counts lanes from the right
             lines.append(f"EGO changes to the lane on its {side}; it is over the line at {t[k]:.1f} s.")
     return lines
 
