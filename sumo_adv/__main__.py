@@ -17,9 +17,13 @@ def main() -> None:
         signal.signal(number, _leave)
     from sumo_adv.cli.main import main as run
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    run()
+    run(_raise_interrupts)
+
+
+def _raise_interrupts() -> None:
+    """Let interrupts raise KeyboardInterrupt from now on."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

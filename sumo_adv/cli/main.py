@@ -10,7 +10,7 @@ import ast
 import atexit
 import os
 import sys
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -89,13 +89,19 @@ def __getattr__(name: str) -> Any:
     return made
 
 
-def main() -> None:
-    """Run the program with ``sys.argv``, and turn errors into sentences and exit statuses."""
+def main(loaded: Callable[[], None] = lambda: None) -> None:
+    """Run the program with ``sys.argv``, and turn errors into sentences and exit statuses.
+
+    Args:
+        loaded: Called when the command's modules are loaded, before the command begins.
+    """
     sys.stdout, sys.stderr = cleaned(sys.stdout), cleaned(sys.stderr)
     sweep_scratch()
     try:
         try:
-            (_listing() if sys.argv[1:] in ([], ["--help"]) else command_line(_wanted(sys.argv[1:])))()
+            command = _listing() if sys.argv[1:] in ([], ["--help"]) else command_line(_wanted(sys.argv[1:]))
+            loaded()
+            command()
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()
