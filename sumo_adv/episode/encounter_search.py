@@ -164,7 +164,7 @@ class EncounterSearch:
     @property
     def _scouts(self) -> bool:
         """Whether SUMO drives a chosen ego until an encounter comes, because its driver takes longer."""
-        return self.drive.controller.needs_observation and not self.drive.recorded()
+        return self.drive.controller.needs_observation and not self.drive.recorded() and self.task.trigger is None
 
     def _drives_another(self) -> bool:
         """Have the driver drive vehicles before the ego, as the task says; return whether it drives one now."""
