@@ -98,10 +98,12 @@ class Asked(_Table):
 
 class Attacker(_Table):
     """One of several vehicles that attack together. id: of the vehicle. intents: which it may try; empty allows all.
-    asked: what must be true of it."""
+    attacks: false for one that only plays its part, so that touching it is no success. asked: what must be true of it.
+    """
 
     id: Annotated[str, Field(min_length=1)]
     intents: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    attacks: bool = True
     asked: Asked = Asked()
 
 

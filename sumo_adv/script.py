@@ -160,8 +160,10 @@ class Action(_Table):
 
 
 class Script(_Table):
-    """What an adversary does. applies: the relations to the ego from which it begins. actions: in their order."""
+    """What an adversary does. applies: the relations to the ego from which it begins. name: of two or three words, for
+    its label. actions: in their order."""
 
+    name: str = Field(default="", pattern=r"^([A-Za-z][A-Za-z0-9 '-]{1,39})?$")
     applies: Annotated[tuple[AppliesTo, ...], Field(min_length=1, max_length=4)]
     actions: Annotated[tuple[Action, ...], Field(min_length=1, max_length=MAX_ACTIONS)]
 
@@ -181,8 +183,9 @@ class Script(_Table):
 
     @property
     def label(self) -> str:
-        """The label of the intent, such as ``Script: brake, speed, brake``."""
-        return f"Script: {', '.join(' '.join((_plain(a.verb), a.side or '')).strip() for a in self.actions)}"
+        """The label of the intent, such as ``Script: brake, speed, brake``, or with its name."""
+        actions = ", ".join(" ".join((_plain(a.verb), a.side or "")).strip() for a in self.actions)
+        return f"Script: {self.name or actions}"
 
     @property
     def description(self) -> str:

@@ -88,6 +88,7 @@ def test_a_scene_brings_its_attackers_and_their_number(tmp_path: Path) -> None:
         (BOTH.replace('id = "right"', 'id = "nobody"'), "names the attacker 'nobody'"),
         ('[adversary]\ncandidates = ["left"]\n' + BOTH, "either attackers, or candidates"),
         ('[[attackers]]\nid = "left"\n', "a single one is the candidate"),
+        (BOTH.replace("asked", "attacks = false\nasked"), "one of the attackers must attack"),
         ('[adversary]\nsupports = ["ego", "other"]\n' + BOTH, "together are at most 3"),
         (BOTH.replace("intents", "intentions", 1), "unknown key 'attackers.0.intentions'; known keys there are id"),
     ],
@@ -123,6 +124,23 @@ def test_each_candidate_of_a_scene_has_all_of_its_attackers() -> None:
 def test_an_attacker_has_only_its_own_intents() -> None:
     other = Attacker(id="right", intents=("Emergency Braking",))
     assert proposed(search(TOGETHER[0], other), 8) == []  # no such intent in the library, so nothing is complete
+
+
+def test_one_that_only_plays_its_part_is_never_the_collider() -> None:
+    tried = proposed(search(TOGETHER[0], Attacker(id="right", attacks=False)), 24)
+    assert {p.bv for p in tried} == {"left"} and {p.attackers for p in tried} == {("left",)}
+    assert {(p.supports[0].bv, p.supports[0].duty) for p in tried} == {("right", Duty.PLAY)}
+
+
+def test_attackers_with_intents_of_their_own_keep_them_whatever_the_analyzer_chose() -> None:
+    """The analyzer chose Shift alone; the one on the right brakes in each candidate all the same."""
+    braking = replace(SHIFT, label="Brakes")
+    made = AttackSearch(
+        Saved(), {0.0: SCENE}, [SHIFT, braking], SearchSettings(share=400), seed=0, adversaries=2, predicts=False,
+        attackers=(TOGETHER[0], Attacker(id="right", intents=("Brakes",))),
+    )  # fmt: skip
+    made.follow(made.ranking([SHIFT]), [SHIFT, braking])
+    assert {p.supports[0].label for p in proposed(made, 12) if p.bv == "left"} == {"Brakes"}
 
 
 def test_a_candidate_of_any_scene_may_gain_another_attacker() -> None:
@@ -341,7 +359,7 @@ def test_an_attacker_that_is_gone_at_once_does_not_fit() -> None:
 
 def test_a_reader_gets_the_facts_of_each_attacker_under_its_own_letter() -> None:
     words = words_of([cutting_in(1.0, 2.0), cutting_in(-1.0, 1.0)])
-    assert words.startswith("2 road users attack: A, B.")
+    assert words.startswith("2 road users act: A, B.")
     first, second = words.split("\n\n")[1:]
     assert "3.6 s: A comes from the left into EGO's way" in first and " B " not in first
     assert "2.6 s: B comes from the right into EGO's way" in second and " A " not in second

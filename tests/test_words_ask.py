@@ -12,7 +12,8 @@ from model_server import Asked, ModelServer
 from scripted_models import chosen, intent
 
 WORDS = "The car on my left cuts in right before me."
-READ = {"happened": "A comes from the left into EGO's lane.", "fits": True, "lacks": ""}
+HOLDS = {"part": "cuts in from the left", "shown": "A comes from the left into EGO's lane at 3.6 s", "holds": True}
+READ = {"happened": "A comes from the left into EGO's lane.", "parts": [HOLDS]}
 
 
 def is_reader(request: Asked) -> bool:
@@ -53,14 +54,20 @@ def test_only_the_attack_that_was_asked_for_is_tried(tmp_path: Path) -> None:
     assert {a["intent"] for a in outcome["attempts"]} == {"Aggressive Cut-in"}
     assert len({tuple(a["adversaries"]) for a in outcome["attempts"]}) == 1
     asked = outcome["asked"]
-    assert asked["words"] == WORDS and asked["fits"] and asked["reading"] == READ and outcome["ending"] == "critical"
+    assert (
+        asked["words"] == WORDS
+        and asked["fits"]
+        and asked["reading"]["parts"] == READ["parts"]
+        and outcome["ending"] == "critical"
+    )
     assert "from the left into EGO's way" in asked["motion"]
     assert [is_reader(request) for request in server.asked] == [False, True]
     assert server.asked[1].last.count("from the left") == 1  # the reader sees the motion, not what was planned
 
 
 def test_what_a_reader_refuses_does_not_count(tmp_path: Path) -> None:
-    no = {"happened": "A brakes.", "fits": False, "lacks": "It does not hoot."}
+    hoot = {"part": "and hoots", "shown": "nothing of a horn", "holds": False}
+    no = {"happened": "A brakes.", "parts": [HOLDS, hoot]}
     with ModelServer(lambda q: no if is_reader(q) else plan(q, "Aggressive Cut-in")) as server:
         done = run(
             tmp_path, server, "motorway_cut_in_left", "--ask", WORDS, "--until", "valid", "--llm", "gpt-test",
@@ -68,7 +75,11 @@ def test_what_a_reader_refuses_does_not_count(tmp_path: Path) -> None:
         )  # fmt: skip
     assert done.status == 0, done.err
     assert sum(is_reader(request) for request in server.asked) == 2  # then the rules alone decide
-    refused = [k for k, a in enumerate(done.outcome["attempts"]) if a.get("misfits") == ["It does not hoot."]]
+    refused = [
+        k
+        for k, a in enumerate(done.outcome["attempts"])
+        if a.get("misfits") == ["'and hoots' does not hold: nothing of a horn"]
+    ]
     assert len(refused) == 2 and not set(refused) & {s["attempt"] for s in done.outcome["successes"]}
 
 

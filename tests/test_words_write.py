@@ -15,7 +15,8 @@ from sumo_adv.memory.bank import MemoryBank
 
 CUT_IN = "On the motorway a van squeezes in right in front of me from the left lane."
 QUICK = ("--attempts", "40", "--seconds", "3600", "--memory", "bank.sqlite", "--out", "my.toml", "--run-out", "run")
-READ = {"happened": "A vehicle comes into the lane of EGO from the left and touches it.", "fits": True, "lacks": ""}
+HOLDS = {"part": "squeezes in from the left", "shown": "A comes from the left into EGO's way", "holds": True}
+READ = {"happened": "A vehicle comes into the lane of EGO from the left and touches it.", "parts": [HOLDS]}
 
 
 def cut_in(**changed: Any) -> dict[str, Any]:

@@ -19,6 +19,7 @@ class Duty(StrEnum):
 
     COLLIDER = "collider"  # it tries to collide with the ego
     ATTACK = "attack"  # it tries the same, with an intent and a planner of its own
+    PLAY = "play"  # it plays the part that the scene gives it, with an intent and a planner of its own
     BLOCK_LEFT = "block_left"  # it takes the room into which the ego would swerve to the left
     BLOCK_RIGHT = "block_right"  # the same to the right
     SLOW = "slow"  # it holds the ego up from ahead

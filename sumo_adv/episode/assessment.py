@@ -313,7 +313,7 @@ class Fitting:
         may_read = read and not lacks and goal.met(attempt.verdict) and len(self.readings) < MAX_READINGS
         if may_read and self.reader is not None:
             reading = self.readings[attempt.index] = self.reader(words_of(list(motions.values())))
-            lacks = () if reading.fits else (reading.lacks or reading.happened,)
+            lacks = () if reading.fits else (reading.lacks,)
         lacks = tuple(dict.fromkeys((*attempt.verdict.misfits, *lacks)))
         return replace(attempt, verdict=replace(attempt.verdict, misfits=lacks))
 
@@ -354,18 +354,27 @@ def motions_of(
 
     Returns:
         The motion of each attacker by id, without those that were gone at once or are no target of their situation.
-        Empty if the ego or the collider was.
+        Each is described at least as long as that of the collider. Empty if the ego or the collider was gone at once.
     """
     collider = attempt.proposal.bv
-    made = {name: _motion_of(name, attempt, result, found, settings) for name in attackers or (collider,)}
-    motions = {name: motion for name, motion in made.items() if motion is not None}
-    return motions if collider in motions else {}
+    first = _motion_of(collider, attempt, result, found, settings)
+    if first is None:
+        return {}
+    until = float(first.time[-1])
+    made = {
+        name: first if name == collider else _motion_of(name, attempt, result, found, settings, until)
+        for name in attackers or (collider,)
+    }
+    return {name: motion for name, motion in made.items() if motion is not None}
 
 
 def _motion_of(
-    bv: str, attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings
+    bv: str, attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings, until: float = 0.0
 ) -> DescribedMotion | None:
-    """Describe what one attacker did; return None if it or the ego was gone at once, or if it is no target."""
+    """Describe what one attacker did, at least until ``until`` [s after the start of the attack].
+
+    Return None if it or the ego was gone at once, or if it is no target.
+    """
     p, start, end = attempt.proposal, result.start, attempt.verdict.contact_time
     situation = found.situations.get(p.delay)
     target = None if situation is None else situation.targets.get(bv)
@@ -382,7 +391,7 @@ def _motion_of(
             cut[found.ego], cut[bv], others, situation.baseline.path, first.relation, first.hidden,
             attempt.verdict.contact_side if attempt.verdict.collided and bv == p.bv else None, start,
             _runs_light(bv, situation, result, float(cut[bv].time[0]) if len(cut[bv].time) else start),
-            sight_from(found, settings, start),
+            sight_from(found, settings, start), until,
         )
     )  # fmt: skip
 

@@ -294,16 +294,32 @@ def nearest_ones(drive: Drive) -> str:
     """
     if drive.ego is None or drive.ego not in drive.snapshot.raw:
         return ""
-    x, y, angle = drive.snapshot.raw[drive.ego][:3]
-    ego, places = Frame(x, y, heading_of(angle)), []
-    for name, (other_x, other_y, angle, speed, *_) in drive.snapshot.raw.items():
-        ahead, left, _ = ego.to_local(other_x, other_y, heading_of(angle))
-        if name != drive.ego and math.hypot(ahead, left) < NAMED_WITHIN_M:
-            side = "" if abs(left) < 1.0 else f" and {abs(left):.0f} m to the {'left' if left > 0 else 'right'}"
-            place = f"{name} {abs(ahead):.0f} m {'ahead' if ahead >= 0 else 'behind'}{side}, at {speed:.0f} m/s"
+    places = []
+    for name in drive.snapshot.raw:
+        distance, place = place_in_words(drive.snapshot, drive.ego, name)
+        if name != drive.ego and distance < NAMED_WITHIN_M:
             place += f" (a {kind}, which cannot attack)" if (kind := drive.kind(name)) in OFF_ROAD_CLASSES else ""
-            places.append((math.hypot(ahead, left), place))
+            places.append((distance, place))
     return f": {'; '.join(place for _, place in sorted(places)[:MAX_NAMED_VEHICLES])}" if places else ""
+
+
+def place_in_words(snapshot: Snapshot, ego: str, name: str) -> tuple[float, str]:
+    """Say where a vehicle is, from the ego's front to its front, and how fast it is.
+
+    Args:
+        snapshot: The states of all vehicles.
+        ego: The ego's id.
+        name: The vehicle's id.
+
+    Returns:
+        The distance between the two fronts [m], and the place in words.
+    """
+    x, y, angle = snapshot.raw[ego][:3]
+    other_x, other_y, other_angle, speed = snapshot.raw[name][:4]
+    ahead, left, _ = Frame(x, y, heading_of(angle)).to_local(other_x, other_y, heading_of(other_angle))
+    side = "" if abs(left) < 1.0 else f" and {abs(left):.0f} m to the {'left' if left > 0 else 'right'}"
+    place = f"{name} {abs(ahead):.0f} m {'ahead' if ahead >= 0 else 'behind'}{side}, at {speed:.0f} m/s"
+    return math.hypot(ahead, left), place
 
 
 def _most_dangerous(looks: Mapping[float, Sequence[RankedVehicle]]) -> list[RankedVehicle]:

@@ -32,7 +32,8 @@ COOL_DOWN_S = 2.0  # s after an encounter that was passed over in which no other
 NEAR_DISTANCE_M, ONCOMING_DISTANCE_M = 70.0, 320.0  # m; the latter holds ahead and for other headings
 WAY_AHEAD_M = 330.0  # m; length of the ways ahead
 MIN_EGO_SPEED_M_S = 4.0  # m/s; a slower ego has no encounter, except in a recording
-MIN_SAME_WAY_SPEED_M_S = 2.0  # m/s; a slower vehicle on the ego's way has no risk, except in a recording
+MIN_SAME_WAY_SPEED_M_S = 2.0  # m/s; a slower vehicle on the ego's way has no risk, except in a recording or if named
+STANDING_AHEAD_S = 10.0  # s of the ego's driving; a named vehicle that stands on its path may be so far ahead
 MAX_START_ACCELERATION_M_S2 = 3.0  # m/s2; acceleration of a BV that hurries to a conflict
 MAX_LATER_ARRIVAL_S = 0.2  # s; how much later than the ego a BV may arrive at a conflict
 CONFLICT_TIMES_S = (1.5, 12.0)  # s from now until the ego is at the conflict
@@ -221,11 +222,10 @@ class EncounterDetector:
         if level and turned < 0.5 and (near or (own_edge and abs(d) < BESIDE_OFFSET_M)):
             in_line = near and not (is_motorcycle(bv) and _passes(bv, d, ego, path))
             relation = ("leader" if s > 0 else "follower") if in_line else "neighbour"
-            risk = (
-                self._same_way_risk(relation, s, d, bv, ego, drive.kind(name))
-                if -BEHIND_DISTANCE_M < s < ahead
-                else 0.0
-            )
+            if name in self.only and bv.speed < MIN_SAME_WAY_SPEED_M_S:
+                ahead = max(ahead, STANDING_AHEAD_S * ego.speed)
+            if -BEHIND_DISTANCE_M < s < ahead:
+                risk = self._same_way_risk(relation, s, d, bv, ego, drive.kind(name))
         elif level and turned > ONCOMING_ANGLE_RAD and 1.2 < self.road.hand * d < BESIDE_OFFSET_M and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
@@ -249,7 +249,7 @@ class EncounterDetector:
         It is lower for a leader or follower that has no lane beside its own, and for a neighbour 5 m or more to the
         side of the ego's path.
         """
-        if bv.speed < MIN_SAME_WAY_SPEED_M_S and not self._recorded:
+        if bv.speed < MIN_SAME_WAY_SPEED_M_S and not self._recorded and bv.id not in self.only:
             return 0.0
         best_gap = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
         closing = 0.5 * (bv.speed - ego.speed)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sumo_adv import __version__
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, LibraryEntry
+from sumo_adv.datatypes import Attempt, Duty, LibraryEntry
 from sumo_adv.episode.memory_access import read_library, signature
 from sumo_adv.episode.order import rank
 from sumo_adv.episode.prepared_encounter import PreparedEncounter
@@ -81,8 +81,13 @@ def learn(
 def _learn_composition(
     bank: MemoryBank, entries: Sequence[LibraryEntry], attempts: Sequence[Attempt], casts: Sequence[Cast], goal: Goal
 ) -> bool:
-    """Count the attempts of a composition, which a success adds to the bank; return whether one was a success."""
+    """Count the attempts of a composition, which a success adds to the bank; return whether one was a success.
+
+    A composition with a part that the scene gives is of that scene alone, and the bank does not get it.
+    """
     best = min(attempts, key=lambda a: rank(a.verdict)).proposal
+    if any(p.duty is Duty.PLAY for p in best.members):
+        return False
     parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
     composition = Composition(best.composition, description_of(best, entries, casts), parts)
     met = [goal.met(a.verdict) for a in attempts]

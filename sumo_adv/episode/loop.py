@@ -17,6 +17,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, reader_of, runner_of
 from sumo_adv.episode.clock import PartsClock
+from sumo_adv.episode.encounter_builder import place_in_words
 from sumo_adv.episode.encounter_finder import OUT_OF_REACH, EncounterFinder, Tell
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.learning import BankView, learn
@@ -190,7 +191,16 @@ def _why_not(record: EncounterRecord, prepared: PreparedEncounter, settings: Set
     there = {name for situation in prepared.found.situations.values() for name in situation.targets}
     gone = [each.id for each in prepared.attackers if each.id not in there]
     if gone:
-        return f"{' and '.join(gone)} cannot attack here, and all attackers of the scene attack together."
+        found = prepared.found
+        now = found.baseline[0] if found.baseline else None
+        places = "; ".join(
+            place_in_words(now, found.ego, name)[1] if now is not None and name in now.raw else f"{name} is not there"
+            for name in gone
+        )
+        return (
+            f"{' and '.join(gone)} cannot attack here, and all attackers of the scene attack together. Seen from the "
+            f"ego at {found.time:g} s: {places}."
+        )
     near = ", ".join(f"{name} ({relation})" for name, relation, _ in prepared.found.ranking)
     reason = "No intent of the library applies to any vehicle near"
     return f"{reason}: {near}." if near else f"{reason}."

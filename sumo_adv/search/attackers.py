@@ -1,7 +1,7 @@
 """Further attackers: each has an intent, a planner, parameters and a start of its own, as the collider has.
 
 If the scene names several attackers, each candidate has all of them: it is drawn for one of them, its collider, and
-completed by an attack of each other one.
+completed by an attack of each other one. One that only plays a part is never the collider.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ AT_ONCE_SHARE = 0.5  # of the attackers that are drawn; they begin with the coll
 BY_DEFAULT_SHARE = 0.5  # of the attackers that are drawn; they have the default parameters of their planners
 
 
-def attack_of(template: AttackTemplate, random: Random) -> Proposal:
+def attack_of(template: AttackTemplate, random: Random, duty: Duty = Duty.ATTACK) -> Proposal:
     """Draw the part of an attacker that is not the collider.
 
     Args:
         template: How it attacks.
         random: The random generator.
+        duty: Whether it attacks, or only plays its part.
     """
     wait = 0.0 if random.random() < AT_ONCE_SHARE else round(random.uniform(0.0, MAX_WAIT_S), 2)
     numbers = None if random.random() < BY_DEFAULT_SHARE else random
-    return replace(template.proposal(numbers), duty=Duty.ATTACK, wait=wait)
+    return replace(template.proposal(numbers), duty=duty, wait=wait)
 
 
 class Attackers:
@@ -48,6 +49,7 @@ class Attackers:
             random: The random generator.
         """
         self._intents = {each.id: frozenset(map(canonical, each.intents)) for each in attackers}
+        self._duties = {each.id: Duty.ATTACK if each.attacks else Duty.PLAY for each in attackers}
         self._random = random
         self._templates: Mapping[tuple[float, str], Sequence[AttackTemplate]] = {}
         self.names = tuple(self._intents)
@@ -60,14 +62,18 @@ class Attackers:
 
         Returns:
             The same templates. If the scene names attackers, only theirs with their intents, at starts at which all
-            of them can attack.
+            of them can attack, and none of those that only play a part.
         """
         kept = [t for t in templates if self._may_draw(t)]
         by_start: dict[tuple[float, str], list[AttackTemplate]] = {}
         for t in kept:
             by_start.setdefault((t.delay, t.target.state.id), []).append(t)
         self._templates = by_start
-        return [t for t in kept if all((t.delay, name) in by_start for name in self.names)]
+        return [
+            t for t in kept
+            if self._duties.get(t.target.state.id) is not Duty.PLAY
+            and all((t.delay, name) in by_start for name in self.names)
+        ]  # fmt: skip
 
     def lacking(self, p: Proposal) -> list[Proposal]:
         """Draw an attack of each attacker of the scene that a candidate lacks.
@@ -76,7 +82,10 @@ class Attackers:
             p: The candidate.
         """
         missing = [name for name in self.names if name not in p.bvs]
-        return [attack_of(self._random.choice(self._templates[p.delay, name]), self._random) for name in missing]
+        return [
+            attack_of(self._random.choice(self._templates[p.delay, name]), self._random, self._duties[name])
+            for name in missing
+        ]
 
     def others(self, p: Proposal) -> list[AttackTemplate]:
         """Return the templates with which further vehicles can attack along with a candidate.

@@ -134,7 +134,7 @@ def _place(p: Proposal) -> tuple[float, ...]:
         if q.high > q.low
     ]
     braking = p.acceleration if isinstance(p.acceleration, float) else 0.0
-    waits = [each.wait / MAX_WAIT_S for each in p.supports if each.duty is Duty.ATTACK]
+    waits = [each.wait / MAX_WAIT_S for each in p.supports if each.duty in (Duty.ATTACK, Duty.PLAY)]
     return (*numbers, p.delay / START_SCALE_S, braking / BRAKING_SCALE_M_S2, *waits)
 
 

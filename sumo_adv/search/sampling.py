@@ -257,7 +257,7 @@ def moved(p: Proposal, step: Callable[[], float]) -> Proposal:
         value = p.parameters.get(q.name, q.default) + step() * (q.high - q.low)
         numbers[q.name] = round(min(max(value, q.low), q.high), 4)
     wait = p.wait
-    if wait > 0.0 or p.duty is Duty.ATTACK:
+    if wait > 0.0 or p.duty in (Duty.ATTACK, Duty.PLAY):
         wait = round(min(max(wait + step() * MAX_WAIT_S, 0.0), MAX_WAIT_S), 2)
     supports = tuple(moved(support, step) for support in p.supports)
     return replace(p.unscored(), parameters=numbers, by="tuner", supports=supports, wait=wait)

@@ -166,7 +166,8 @@ class AttackSearch:
             The templates that are drawn from.
         """
         open_ = [e.label for e in self._selection.of(library)]
-        drawn_from = open_ if in_their_order else [i.label for i in intents]
+        together = self._support is not None and bool(self._support.attackers.names)  # each has intents of its own
+        drawn_from = open_ if in_their_order or together else [i.label for i in intents]
         self._templates = self._templates_of(library, drawn_from)
         self._ranks = {}
         for i in intents if in_their_order else ():

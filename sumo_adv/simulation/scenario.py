@@ -184,6 +184,8 @@ class Scenario(_Table):
             raise ValueError("give either attackers, or candidates and intents of the adversary, not both")
         if len(ids) == 1:
             raise ValueError("attackers are two or more; a single one is the candidate of the adversary")
+        if not any(attacker.attacks for attacker in self.attackers):
+            raise ValueError("one of the attackers must attack, and all of them have attacks = false")
         if len({*ids, *self.adversary.supports}) < len(ids) + len(self.adversary.supports):
             raise ValueError("attackers and supports must all be different vehicles")
         if len(ids) + len(self.adversary.supports) > MAX_ADVERSARIES:

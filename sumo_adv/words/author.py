@@ -96,7 +96,7 @@ class Played:
         asked = self.outcome["asked"]
         by_rules = list(asked["misfits"]) if asked and asked["motion"] else ["No attempt was made."]
         read = self.reading
-        by_reader = [] if read is None or read.fits else [read.lacks or read.happened]
+        by_reader = [] if read is None or read.fits else [read.lacks]
         return by_rules + by_reader + ([self.given_up] if self.given_up else [])
 
     @property

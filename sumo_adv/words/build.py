@@ -21,6 +21,7 @@ from sumo_adv.datatypes import MAX_ADVERSARIES
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines, toml_text
 from sumo_adv.road_users import UNPROTECTED_SPEEDS_M_S, RoadUser
+from sumo_adv.script import Script
 from sumo_adv.words.draft import AttackDraft, EgoDraft, LightsPhase, SceneDraft, VehicleDraft, WalkerDraft
 from sumo_adv.words.ego_way import come_after, time_to, way_tables
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
@@ -216,17 +217,18 @@ def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: VehicleRoute, st
 
 
 def _check_script(scene: SceneDraft, drives: Mapping[str, VehicleRoute], net: Net) -> None:
-    """Check that the adversary can play the script of the attack, if it has one."""
-    script, name = scene.attack.script, scene.attack.adversary
-    if script is None:
-        return
-    actor = next((v for v in scene.vehicles if v.id == name), None)
-    if actor is None:
-        raise UsageError(
-            f"'{name}' is no vehicle, and a script is for vehicles: take an intent, or describe it in novel."
-        )
-    speed = 0.0 if actor.stands else actor.speed / 3.6
-    check_script(script, f"'{name}'", speed, ACTOR_SIZES_M[actor.type], drives[name], net, DRAFT_HORIZON_S)
+    """Check that those that have a script can play it, and that different scripts have different labels."""
+    labels: dict[str, Script] = {}
+    for name, script in scene.attack.scripts.items():
+        actor = next((v for v in scene.vehicles if v.id == name), None)
+        if actor is None:
+            raise UsageError(
+                f"'{name}' is no vehicle, and a script is for vehicles: take an intent, or describe it in novel."
+            )
+        if labels.setdefault(script.label, script) != script:
+            raise UsageError(f"Two scripts have the label '{script.label}': give each a name of its own.")
+        speed = 0.0 if actor.stands else actor.speed / 3.6
+        check_script(script, f"'{name}'", speed, ACTOR_SIZES_M[actor.type], drives[name], net, DRAFT_HORIZON_S)
 
 
 def _demand(ego: EgoDraft, ego_drive: VehicleRoute, start: float, placed: list[Placed]) -> str:
@@ -301,7 +303,7 @@ def _scenario(
         _table("adversary", _adversary(attack, walkers)),
         f"\n[signals]\nfiles = [{toml_text(f'{stem}.add.xml')}]\n" if lights else "",
         *tables, *way,
-        "" if attack.script is None else script_tables(attack.script),
+        *map(script_tables, {script.label: script for script in attack.scripts.values()}.values()),
         _table("written", {"words": written.words, "model": written.model, "date": written.date}),
         _table("asked", _asked_of_all(attack)),
         *_attackers(attack, walkers),
@@ -331,12 +333,13 @@ def _attackers(attack: AttackDraft, walkers: Mapping[str, str]) -> list[str]:
     """Return the tables of several attackers; none for one."""
     if not attack.others:
         return []
-    each = [(attack.adversary, attack.labels, attack.asked)]
-    each += [(other.adversary, other.intents, other.asked) for other in attack.others]
+    each = [(attack.adversary, attack.labels, True, attack.asked)]
+    each += [(other.adversary, other.labels, other.attacks, other.asked) for other in attack.others]
     tables = []
-    for name, labels, asked in each:
+    for name, labels, attacks, asked in each:
         own = asked.model_dump(mode="json", exclude_defaults=True, exclude=set(OF_ALL))
-        head = toml_lines({"id": walkers.get(name, name), "intents": labels or None})
+        of_it = {"id": walkers.get(name, name), "intents": labels or None, "attacks": None if attacks else False}
+        head = toml_lines(of_it)
         tables.append("\n".join(["", "[[attackers]]", *head, ""]) + _table("attackers.asked", own))
     return tables
 

@@ -133,12 +133,20 @@ class NovelDraft(_Part):
 
 
 class OtherAttackerDraft(_Part):
-    """Another one that attacks in the same attempt. adversary: its id. intents: known ones or the novel one, empty for
-    any. asked: of it, without level and within."""
+    """Another one that acts in the same attempt. adversary: its id. script: what it does, if no intent can be it.
+    intents: known ones or the novel one, empty for any if there is no script. attacks: false for one that only plays
+    its part, so that touching it is no success. asked: of it, without level and within."""
 
     adversary: Name
+    script: Script | None = None
     intents: list[str] = Field(default_factory=list, max_length=4)
+    attacks: bool = True
     asked: Asked
+
+    @property
+    def labels(self) -> list[str]:
+        """The intents to try, the script first; empty for any."""
+        return self.intents if self.script is None else [self.script.label, *self.intents]
 
 
 class AttackDraft(_Part):
@@ -156,8 +164,14 @@ class AttackDraft(_Part):
 
     @property
     def attackers(self) -> list[str]:
-        """The ids of all that attack, the adversary's first."""
+        """The ids of all that act, the adversary's first."""
         return [self.adversary, *(other.adversary for other in self.others)]
+
+    @property
+    def scripts(self) -> dict[str, Script]:
+        """The scripts, by the id of the one that plays it."""
+        own = [(self.adversary, self.script), *((other.adversary, other.script) for other in self.others)]
+        return {name: script for name, script in own if script is not None}
 
     @property
     def labels(self) -> list[str]:

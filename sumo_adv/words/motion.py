@@ -32,6 +32,7 @@ ONCOMING_ANGLE_RAD = math.radians(120)  # minimum heading relative to the ego's 
 MIN_SPEED_CHANGE_M_S = 2.0  # minimum change that counts as braking or speeding up
 DESCRIBED_AS_STANDING_SPEED_M_S = 0.5
 MIN_HIDDEN_S = 0.5  # minimum time that an adversary is out of sight
+IN_LINE_M = 0.5  # maximum offset of a vehicle that is on no side of the ego's way
 MAX_BESIDE_OFFSET_M = 4.5  # maximum offset of a vehicle beside the ego
 AFTER_APPROACH_S = 3.0  # how long after the nearest approach events count if nothing is hit
 MAX_DESCRIBED_OTHERS = 4  # maximum number of other vehicles in the description, nearest first
@@ -53,6 +54,7 @@ class Scene:
         start: The start of the attack [s].
         light: When the adversary passes its stop line on red or yellow [s], and that event; None if it does not.
         sight: How far the ego sees along its way; None without a limit.
+        until: The time up to which the motion is described at least [s after the take-over].
     """
 
     ego: Track
@@ -65,6 +67,7 @@ class Scene:
     start: float
     light: tuple[float, Event] | None = None
     sight: SightLimits | None = None
+    until: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +193,8 @@ def _end(scene: Scene, ego: Track, bv: Track) -> int:
     if scene.side is not None:
         return len(ego.time)
     nearest = int(np.argmin(np.hypot(ego.x - bv.x, ego.y - bv.y)))
-    return int(np.searchsorted(ego.time, ego.time[nearest] + AFTER_APPROACH_S, side="right"))
+    last = max(ego.time[nearest] + AFTER_APPROACH_S, ego.time[0] + scene.until)
+    return int(np.searchsorted(ego.time, last, side="right"))
 
 
 def _hidden(scene: Scene, course: Course) -> tuple[float, float] | None:
@@ -391,7 +395,7 @@ def words_of(motions: Sequence[DescribedMotion]) -> str:
         return motions[0].words
     names = "ABC"[: len(motions)]
     texts = [re.sub(r"\bA\b", name, motion.words) for name, motion in zip(names, motions, strict=True)]
-    return "\n\n".join([f"{len(motions)} road users attack: {', '.join(names)}. Each has its own facts.", *texts])
+    return "\n\n".join([f"{len(motions)} road users act: {', '.join(names)}. Each has its own facts.", *texts])
 
 
 def _words(
@@ -485,4 +489,5 @@ def _where(scene: Scene, a: PathTrack, b: PathTrack) -> str:
     if road_user(scene.adversary) is not RoadUser.VEHICLE:
         oncoming = ", coming towards EGO" if scene.relation == "oncoming" else ""
         return f"{b.s[0] - a.s[0]:.0f} m ahead, beside EGO's way, on its {side}{oncoming}"
-    return f"{words.get(scene.relation, scene.relation)}, on its {side}"
+    in_line = scene.relation in ("leader", "follower") and abs(float(b.d[0])) < IN_LINE_M
+    return words.get(scene.relation, scene.relation) + ("" if in_line else f", on its {side}")

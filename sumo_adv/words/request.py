@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, computed_field
 
 from sumo_adv.asked import MAX_REQUEST_CHARACTERS
 from sumo_adv.errors import UsageError
@@ -69,12 +69,31 @@ def needs_model(what: str, words: str) -> UsageError:
     return UsageError(f"{what} needs a language model, named with --llm; {near}.")
 
 
+class ReadPart(BaseModel):
+    """A part of the request: in its words, what the facts show of it, and whether it holds."""
+
+    part: str = Field(min_length=1, max_length=300)
+    shown: str = Field(max_length=400)
+    holds: bool
+
+
 class Reading(BaseModel):
-    """What a reader makes of a motion."""
+    """What a reader makes of a motion. happened: what the facts say. parts: those of the request."""
 
     happened: str = Field(max_length=1000)
-    fits: bool
-    lacks: str = Field(default="", max_length=600)
+    parts: list[ReadPart] = Field(min_length=1, max_length=10)
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def fits(self) -> bool:
+        """Whether all parts hold."""
+        return all(part.holds for part in self.parts)
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def lacks(self) -> str:
+        """What the facts show of the parts that do not hold; empty if all hold."""
+        return " ".join(f"'{each.part}' does not hold: {each.shown}" for each in self.parts if not each.holds)
 
 
 def read_motion(metered: MeteredModel, prompts: Prompts, motion: str, request: str) -> Reading:

@@ -86,7 +86,7 @@ def script_tables(script: Script) -> str:
     Args:
         script: The script.
     """
-    lines = ["", "[[scripts]]", *toml_lines({"applies": list(script.applies)})]
+    lines = ["", "[[scripts]]", *toml_lines({"name": script.name or None, "applies": list(script.applies)})]
     for action in script.actions:
         lines += ["", "[[scripts.actions]]", *toml_lines(action.model_dump(mode="json", exclude_defaults=True))]
     return "\n".join([*lines, ""])
