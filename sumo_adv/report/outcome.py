@@ -70,7 +70,7 @@ def outcome(
         "reason": " ".join(filter(None, (ENDING_SENTENCES[run.ending], run.reason))),
         "network": run.run_input.name, "seed": settings.seed,
         "ego": {"id": encounter.ego if encounter else chosen, "controller": task.ego_driver},
-        "adversaries": [p.as_adversary() for p in best.proposal.members] if best else [],
+        "adversaries": [] if best is None else _adversaries(best, run, record),
         "attackers": [] if best is None else [_attacker(each) for each in best.verdict.attackers],
         "trigger_time": number(best.trigger_time) if best else None,
         "encounter": None if encounter is None else _encounter(encounter),
@@ -100,6 +100,13 @@ def outcome(
         "warnings": [asdict(kind) for kind in kinds_of(run.warnings)],
         "asked": _asked(run.request if record is None else record.request, record, settings),
     }  # fmt: skip
+
+
+def _adversaries(best: Attempt, run: Run, record: EncounterRecord | None) -> list[dict[str, Any]]:
+    """Return the adversaries of the attempt that counts, the collider first, each with what it does in words."""
+    words = {script.label: script.description for script in run.run_input.scripts}
+    words |= {intent.label: intent.description for intent in (() if record is None else record.intents)}
+    return [{**p.as_adversary(), "does": words.get(p.label)} for p in best.proposal.members]
 
 
 def _attacker(attacker: AttackerResult) -> dict[str, Any]:

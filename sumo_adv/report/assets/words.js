@@ -86,6 +86,22 @@ function causeRows(c) {
     row("stopped braking", c.let_go, time), row("lateral shift", c.shift, (d) => number(d, 1, "m")), row("sufficient braking", c.enough, rate)];
 }
 
+const ROLE_WORDS = { collider: "attacks", attack: "attacks as well", play: "plays a part" };
+
+/** What was asked for: who plays which part by which script or intent, and which parts of the request hold. */
+function askedPanel(outcome) {
+  const asked = outcome.asked, read = asked.reading;
+  const mark = (holds) => el("span", { class: holds ? "good" : "bad" }, holds ? "✓ holds" : "✗ does not hold");
+  const actors = outcome.adversaries.map((a) => ({ cells: [quoted(a.id), ROLE_WORDS[a.role] || answer(a.role), quoted(a.intent), quoted(a.does ?? "")] }));
+  const parts = asked.parts.map((p) => ({ cells: [quoted(p.name), mark(p.holds), quoted(p.says)] }));
+  const readings = ((read && read.parts) || []).map((p) => ({ cells: [quoted(p.part), mark(p.holds), quoted(p.shown)] }));
+  return panel("What was asked for", asked.words ? el("blockquote", null, quoted(asked.words)) : null,
+    actors.length ? [el("h3", null, "Who does what"), table(["", "part", "by", "what it does"], actors)] : null,
+    parts.length ? [el("h3", null, "Parts of the request, by rules"), table(["", "", "what the motion shows"], parts)] : null,
+    readings.length ? [el("h3", null, "Parts of the request, as a model reads the motion"), table(["", "", "what the motion shows"], readings)] : null,
+    asked.motion ? el("details", null, el("summary", null, "The motion in words"), el("pre", { tabindex: "0" }, plain(asked.motion))) : null);
+}
+
 function attemptsPanel(outcome) {
   const rows = outcome.attempts.map((a) => ({ counts: a.index === outcome.best, cells: [
     `${a.index + 1}${a.index === outcome.best ? " (counts)" : ""}`, el("span", null, quoted(a.composition || a.intent), " by ", quoted(a.adversaries.join(", "))),
@@ -156,6 +172,6 @@ function writeWords() {
     byId("back").append(el("a", { href: data.back }, "All episodes"));
   }
   byId("beside").replaceChildren(verdictPanel(outcome));
-  byId("panels").replaceChildren(...[outcome.attempts.length ? attemptsPanel(outcome) : null,
+  byId("panels").replaceChildren(...[outcome.asked ? askedPanel(outcome) : null, outcome.attempts.length ? attemptsPanel(outcome) : null,
     (outcome.intents || []).length ? analyzerPanel(outcome) : null, plannersPanel(), restPanel(outcome)].filter(Boolean));
 }
