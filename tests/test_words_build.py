@@ -313,8 +313,8 @@ def test_a_script_is_written_and_named_first(tmp_path: Path) -> None:
             "adversary": "other", "script": {"applies": ["merging"], "actions": [{"verb": "brake", "rate": 5}]},
             "asked": {}}), "The script goes straight on where the route of 'other' goes right from edge 'south_in'"),
         (scene(STRAIGHT, ALONG, walkers=[{"id": "walker", "at": 50, "offset": -5}], attack={
-            "adversary": "walker", "script": {"applies": ["pedestrian"], "actions": [{"verb": "wait", "seconds": 1}]},
-            "asked": {}}), "'walker' is no vehicle, and a script is for vehicles"),
+            "adversary": "walker", "script": {"applies": ["leader"], "actions": [{"verb": "brake", "rate": 4}]},
+            "asked": {}}), "The script begins from leader, and 'walker' is a pedestrian"),
     ],
 )  # fmt: skip
 def test_a_script_that_cannot_be_played_is_one_sentence(tmp_path: Path, draft: SceneDraft, says: str) -> None:
