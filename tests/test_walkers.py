@@ -79,7 +79,7 @@ def test_a_way_back_crosses_the_egos_path_twice_and_its_conflict_is_the_second_p
 
 
 def test_further_ways_back_turn_round_before_that_and_come_last() -> None:
-    """From y = -4 to 1 m before the middle are 3 m. The first ones at -3 and -2 m turn 0.06 rad less than half round."""
+    """From y = -4 to 1 m before the middle are 3 m. Those at -3 and -2 m turn by 0.06 rad less than half round."""
     ways = target_of(walker(-4.0, 0.0, 0.0)).ways
     early = ways[-4:]
     assert [way.turn for way in early] == [(1.0, 1.5), (2.0, 2.5), (3.0, 3.5), (4.0, 4.5)]
