@@ -193,30 +193,34 @@ def test_a_cyclist_rides_across_stands_and_turns_back() -> None:
 
 def test_a_scenario_with_a_walkers_script_runs(tmp_path: Path, caches: Path) -> None:
     """The ego's lane has its middle at y = -1.6. The pedestrian at y = -6.4 walks 4.8 m, waits for 1 s in the ego's
-    lane, and walks on to y = 4.4 m."""
+    lane, and walks on to y = 4.4 m. It is just missed."""
     (tmp_path / "half.toml").write_text(
         'schema = 1\nnetwork = "two_way"\n'
-        "pedestrians = [{ x = 260.0, y = -6.4, heading = 1.57, length = 0.5, width = 0.5 }]\n"
+        "pedestrians = [{ x = 240.0, y = -6.4, heading = 1.57, length = 0.5, width = 0.5 }]\n"
         '[ego]\nroute = ["eastbound"]\ndepart = 0.0\nposition = 100.0\nspeed = 11.0\n'
         "[window]\nwarm_up = 2.0\ntrigger = 3.0\nhorizon = 12.0\n"
         '[adversary]\ncandidates = ["pedestrian0"]\nintents = ["Script: walk to, wait, walk to"]\n'
         '[[scripts]]\napplies = ["pedestrian"]\nactions = [\n'
         '  { verb = "walk_to", offset = 0.0 }, { verb = "wait", seconds = { default = 1.0, low = 1.0, high = 1.0 } },\n'
-        '  { verb = "walk_to", offset = { default = 6.0, low = 6.0, high = 6.0 } },\n]\n',
+        '  { verb = "walk_to", offset = { default = 6.0, low = 6.0, high = 6.0 } },\n]\n'
+        '[asked]\nuser = "pedestrian"\nlevel = "near_miss"\n',
         encoding="utf-8",
     )
     done = Program(tmp_path, caches).here(
-        "run", "half.toml", "--ego", "idm", "--attempts", "1", "--learn", "off", "--json", "--out", "out"
+        "run", "half.toml", "--ego", "idm", "--attempts", "8", "--learn", "off", "--json", "--out", "out"
     )
     assert done.status in (0, 1), done.err
-    (attempt,) = done.outcome["attempts"]
+    attempt = done.outcome["attempts"][-1]
     assert attempt["intent"] == "Script: walk to, wait, walk to" and done.outcome["outcome"]["failed_gates"] == []
     rows = list(read_states(done.folder / "states.csv.gz")["pedestrian0"].values())
     time, y, speed = (np.array([float(row[key]) for row in rows]) for key in ("time", "y", "speed"))
     inside = np.flatnonzero((speed < 0.3) & (np.abs(y + 1.6) < 0.3))
-    assert 6.9 < time[inside[0]] < 8.5  # 3 s, 4.8 m at 1.4 m/s are 3.4 s, and it sets off and stops
-    assert 1.0 <= time[inside[-1]] - time[inside[0]] <= 1.9
-    assert y[-1] > y[inside[-1]] + 1.0 and y.max() < 4.5
+    sets_off, stops, goes_on = time[np.argmax(speed > 0.0)], time[inside[0]], time[inside[-1]]
+    assert 3.4 < stops - sets_off < 4.6  # 4.8 m at 1.4 m/s are 3.4 s, and it sets off and stops
+    assert 0.8 <= goes_on - stops <= 1.8
+    arrives = time[np.argmax(y > 3.5)]
+    assert arrives - goes_on == pytest.approx(5.1 / 1.4 + 0.4, abs=0.5)  # and no stop until then
+    assert y.max() == pytest.approx(4.4, abs=0.1)
 
 
 # ---- a walker's script is an intent of its own kind
