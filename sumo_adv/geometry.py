@@ -317,7 +317,7 @@ def make_path(
     return Path(x, y, heading, curvature, _bend_speed(curvature, lateral), z)
 
 
-def turned_back(path: Path, station: float, turn: int, metres: float, fastest: float) -> Path:
+def turned_back(path: Path, station: float, turn: int, metres: float, fastest: float, less: float = 0.0) -> Path:
     """Return a path that goes along a flat one, makes a half turn, and leads straight back beside it.
 
     The samples of the turn are exact. Smoothing, as in :func:`make_path`, would move the place of the turn.
@@ -328,23 +328,26 @@ def turned_back(path: Path, station: float, turn: int, metres: float, fastest: f
         turn: The length of the turn in steps of the path, positive to the left. The radius is this length over pi.
         metres: The length of the path after the turn [m].
         fastest: The highest speed in the turn [m/s].
+        less: By how much the turn is less than a half one [rad].
 
     Returns:
         The path. The turn ends ``abs(turn)`` samples after it begins.
     """
     first = min(max(round(station / PATH_STEP_M), 1), len(path.x) - 1)
     steps, side = abs(turn), math.copysign(1.0, turn)
-    radius = steps * PATH_STEP_M / math.pi
+    angle = math.pi - less
+    radius = steps * PATH_STEP_M / angle
     x, y, heading = float(path.x[first]), float(path.y[first]), float(path.heading[first])
-    turned = heading + side * np.pi * np.arange(1, steps + 1) / steps
+    turned = heading + side * angle * np.arange(1, steps + 1) / steps
     turn_x = x + side * radius * (np.sin(turned) - math.sin(heading))
     turn_y = y - side * radius * (np.cos(turned) - math.cos(heading))
     back = PATH_STEP_M * np.arange(1, math.ceil(metres / PATH_STEP_M) + 1)
     speed = np.concatenate([path.speed[:first], np.full(steps + 1, fastest), np.full(len(back), MAX_PATH_SPEED_M_S)])
     bent = np.concatenate([path.curvature[:first], np.full(steps + 1, side / radius), 0.0 * back])
+    ahead = heading - side * less  # straight back from there
     return Path(
-        np.concatenate([path.x[: first + 1], turn_x, turn_x[-1] - back * math.cos(heading)]),
-        np.concatenate([path.y[: first + 1], turn_y, turn_y[-1] - back * math.sin(heading)]),
+        np.concatenate([path.x[: first + 1], turn_x, turn_x[-1] - back * math.cos(ahead)]),
+        np.concatenate([path.y[: first + 1], turn_y, turn_y[-1] - back * math.sin(ahead)]),
         np.concatenate([path.heading[: first + 1], turned, np.full(len(back), turned[-1])]),
         bent, _reachable(speed**2, TURN_BRAKING_M_S2), path.z,
     )  # fmt: skip

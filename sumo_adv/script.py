@@ -1,7 +1,8 @@
 """Describe a script: what an adversary does, as a short list of actions with conditions in the terms of OpenSCENARIO.
 
-A script is the table ``[[scripts]]`` of a scenario file, or a part of a language model's draft. It is an intent: its
-label and its description are made of its actions. ``planners/scripts.py`` compiles it to a planner.
+A script is the table ``[[scripts]]`` of a scenario file, or a part of a language model's draft. It is for vehicles, for
+pedestrians or for cyclists. It is an intent: its label and its description are made of its actions.
+``planners/scripts.py`` compiles it to a planner.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ AppliesTo = Literal[
 MAX_ACTIONS = 8
 MAX_TUNED_NUMBERS = 12  # of a planner (``planners/text.py``)
 TUNED_SHARES = (0.6, 1.5)  # a plain number is tuned between these shares of it
+USUAL_SPEEDS_M_S = {"pedestrian": 1.4, "cyclist": 4.0}  # of ``walk_to`` without a speed
 
 
 class Verb(StrEnum):
@@ -43,6 +45,12 @@ class Verb(StrEnum):
     LATERAL_OFFSET = "lateral_offset"
     TURN = "turn"
     WAIT = "wait"
+    WALK_TO = "walk_to"
+    TURN_BACK = "turn_back"
+
+
+WALKER_VERBS = (Verb.WALK_TO, Verb.WAIT, Verb.TURN_BACK, Verb.SPEED)
+"""What a pedestrian or a cyclist can do. ``walk_to`` and ``turn_back`` are for no vehicle."""
 
 
 class Takes(NamedTuple):
@@ -65,12 +73,16 @@ TAKES = {
     Verb.LATERAL_OFFSET: Takes(("offset",), {"seconds": 3.0}),
     Verb.TURN: Takes(("side",)),
     Verb.WAIT: Takes(("seconds",)),
+    Verb.WALK_TO: Takes(("offset",), {"speed": USUAL_SPEEDS_M_S["pedestrian"]}),
+    Verb.TURN_BACK: Takes(()),
 }
 BOUNDS = {
     "speed": (0.0, 60.0), "rate": (0.2, 8.0), "seconds": (0.1, 30.0), "offset": (-3.0, 3.0), "value": (0.0, 300.0),
-    "ahead": (-100.0, 300.0),
+    "ahead": (-100.0, 300.0), "place": (-20.0, 20.0), "pace": (0.3, 8.0),
 }  # fmt: skip
-"""The least and the largest value of each number [m, s, m/s, m/s2]; ahead is the value of ``ahead_of_ego``."""
+"""The least and the largest value of each number [m, s, m/s, m/s2]; ahead is the value of ``ahead_of_ego``, place and
+pace are the offset and the speed of ``walk_to``."""
+WALK_BOUNDS = {"offset": "place", "speed": "pace"}
 
 
 class _Table(BaseModel):
@@ -125,7 +137,9 @@ class Action(_Table):
     speed: to speed [m/s], with rate [m/s2]. brake: with rate, down to speed (0 if left out). stop_for: brake to a stand
     with rate, and stand for seconds. lane_change: to the next lane on side, within seconds. lateral_offset: to offset m
     left (negative: right) of the middle of its lane, within seconds. turn: left or right at the junction. wait: go on
-    as it is for seconds."""
+    as it is for seconds. Pedestrians and cyclists have other actions. walk_to: straight across the EGO's way until
+    offset m to the left of its middle (negative: right), with speed (on foot 1.4), and stand there. wait: stop, and
+    stand for seconds. turn_back: turn round, and go back at the last speed. speed: from now on (no rate)."""
 
     verb: Verb
     when: Condition | None = None
@@ -145,8 +159,16 @@ class Action(_Table):
             if value is not None and key not in takes.needed and key not in takes.defaults:
                 raise ValueError(f"the action {self.verb} takes no {key}")
             if value is not None and key != "side":
-                _check_bounds(f"the action {self.verb}", key, tunable(key, value))
+                _check_bounds(f"the action {self.verb}", self.bounds(key), tunable(self.bounds(key), value), key)
         return self
+
+    def bounds(self, key: str) -> str:
+        """Return the name of the bounds of a number of the action.
+
+        Args:
+            key: The name of the number.
+        """
+        return WALK_BOUNDS.get(key, key) if self.verb is Verb.WALK_TO else key
 
     def number(self, key: str) -> Tunable:
         """Return a number of the action, or the default of its verb.
@@ -156,7 +178,9 @@ class Action(_Table):
         """
         value: Number | None = getattr(self, key)
         default = TAKES[self.verb].defaults.get(key, 0.0)
-        return Tunable(default=default, low=default, high=default) if value is None else tunable(key, value)
+        if value is None:
+            return Tunable(default=default, low=default, high=default)
+        return tunable(self.bounds(key), value)
 
 
 class Script(_Table):
@@ -171,8 +195,15 @@ class Script(_Table):
     def _playable(self) -> Self:
         if len(set(self.applies)) < len(self.applies):
             raise ValueError("a script names each relation once")
-        if sum(action.verb is Verb.TURN for action in self.actions) > 1:
-            raise ValueError("a script may have one turn")
+        if len({_user_of(relation) for relation in self.applies}) > 1:
+            raise ValueError(
+                "a script is for vehicles, for pedestrians or for cyclists: it applies to one of them only"
+            )
+        for verb in (Verb.TURN, Verb.TURN_BACK):
+            if sum(action.verb is verb for action in self.actions) > 1:
+                raise ValueError(f"a script may have one {verb}")
+        for k, action in enumerate(self.actions):
+            self._check_verb(f"action {k + 1} ({action.verb})", action)
         count = sum(number.low < number.high for action in self.actions for number in numbers_of(action).values())
         if count > MAX_TUNED_NUMBERS:
             raise ValueError(
@@ -180,6 +211,29 @@ class Script(_Table):
                 "give them low = high"
             )
         return self
+
+    def _check_verb(self, this: str, action: Action) -> None:
+        """Raise ValueError if an action is not one of the script's road user."""
+        if self.user == "vehicle":
+            if action.verb in (Verb.WALK_TO, Verb.TURN_BACK):
+                raise ValueError(f"{this} is for pedestrians and cyclists only")
+        elif action.verb not in WALKER_VERBS:
+            raise ValueError(f"{this} is for vehicles only: a {self.user} has {', '.join(WALKER_VERBS)}")
+        elif action.rate is not None:
+            raise ValueError(f"{this} of a {self.user} takes no rate")
+
+    @property
+    def user(self) -> str:
+        """The kind of road user that it is for: vehicle, pedestrian or cyclist (``road_users.RoadUser``)."""
+        return _user_of(self.applies[0])
+
+    def pace(self, action: Action) -> float:
+        """Return the speed of a ``walk_to`` [m/s], which is the usual one of its road user if it has none.
+
+        Args:
+            action: The action.
+        """
+        return USUAL_SPEEDS_M_S[self.user] if action.speed is None else action.number("speed").default
 
     @property
     def label(self) -> str:
@@ -190,14 +244,17 @@ class Script(_Table):
     @property
     def description(self) -> str:
         """The description of the intent, one sentence."""
-        return f"The vehicle {', then '.join(map(_in_words, self.actions))}."
+        if self.user == "vehicle":
+            return f"The vehicle {', then '.join(map(_in_words, self.actions))}."
+        words = (_walk_in_words(action, self.pace(action)) for action in self.actions)
+        return f"The {self.user} {', then '.join(words)}."
 
 
 def tunable(key: str, value: Number) -> Tunable:
     """Return a number with its range.
 
     Args:
-        key: The name of the number, whose bounds hold for the range of a plain number.
+        key: The name of the bounds, which hold for the range of a plain number.
         value: The number.
     """
     if isinstance(value, Tunable):
@@ -220,11 +277,17 @@ def numbers_of(action: Action) -> dict[str, Tunable]:
     return numbers
 
 
-def _check_bounds(what: str, key: str, number: Tunable) -> None:
+def _check_bounds(what: str, key: str, number: Tunable, name: str = "") -> None:
     """Raise ValueError if a number is out of its bounds."""
     least, most = BOUNDS[key]
     if number.low < least or number.high > most:
-        raise ValueError(f"{what} takes a {key} of {least:g} to {most:g}")
+        raise ValueError(f"{what} takes a {name or key} of {least:g} to {most:g}")
+
+
+def _user_of(relation: AppliesTo) -> str:
+    """Return the kind of road user that has a relation."""
+    kind = relation.partition("_")[0]
+    return kind if kind in USUAL_SPEEDS_M_S else "vehicle"
 
 
 def _plain(verb: Verb) -> str:
@@ -242,6 +305,19 @@ def _in_words(action: Action) -> str:
         Verb.LATERAL_OFFSET: f"moves {abs(offset):g} m to the {'left' if offset > 0 else 'right'} in its lane",
         Verb.TURN: f"turns {action.side}",
         Verb.WAIT: f"goes on for {seconds:g} s",
+    }[action.verb]
+    return " ".join((words, *_condition_in_words(action.when)))
+
+
+def _walk_in_words(action: Action, pace: float) -> str:
+    """Return an action of a pedestrian or cyclist as the end of a sentence that begins with it."""
+    speed, seconds, offset = (action.number(key).default for key in ("speed", "seconds", "offset"))
+    there = f"to {abs(offset):g} m {'left' if offset > 0 else 'right'} of" if offset else "into"
+    words = {
+        Verb.WALK_TO: f"goes {there} the middle of the ego's way at {pace:g} m/s",
+        Verb.WAIT: f"stands for {seconds:g} s",
+        Verb.TURN_BACK: "turns round and goes back",
+        Verb.SPEED: f"goes on at {speed:g} m/s",
     }[action.verb]
     return " ".join((words, *_condition_in_words(action.when)))
 

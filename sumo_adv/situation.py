@@ -65,7 +65,8 @@ class ReferencePath:
         before_ego: Whether, by SUMO's rules, a vehicle on this path goes before an ego that has to give way.
         bay: The station at which a turning vehicle waits on the junction for others, which ignore it there [m]; inf if
             there is none.
-        turn: The stations at which a way that leads back begins and ends its half turn [m]; None for other ways.
+        turn: The stations at which a way that leads back begins and ends its half turn [m]; None for other ways. A way
+            that leads back and has no conflict is for scripts only.
     """
 
     path: Path

@@ -30,6 +30,9 @@ from sumo_adv.search.support_intents import SUPPORT_INTENTS
 SHIPPED = [*shipped_planners().values(), *(p for entry in unprotected_library() for p in entry.planners)]
 SIDE = shipped_planners()["Straight Lane Shift", "side"].text
 BESIDE = situation([neighbour()])
+WALKS = script_planner(
+    Script.model_validate({"applies": ["pedestrian"], "actions": [{"verb": "walk_to", "offset": 0}]})
+)
 BRAKES = script_planner(Script.model_validate({"applies": ["leader"], "actions": [{"verb": "brake", "rate": 4}]}))
 
 
@@ -44,7 +47,7 @@ def test_every_planner_of_the_shipped_bank_is_trusted(p: Planner) -> None:
 
 def test_no_text_is_trusted_that_the_bank_does_not_have() -> None:
     supports = [p for those in SUPPORT_INTENTS.values() for entry in those for p in entry.planners]
-    assert {fingerprint(p.text) for p in (*SHIPPED, *supports, *FREE.planners, BRAKES)} == TRUSTED
+    assert {fingerprint(p.text) for p in (*SHIPPED, *supports, *FREE.planners, BRAKES, WALKS)} == TRUSTED
 
 
 def test_a_text_with_other_numbers_and_another_movement_is_trusted() -> None:

@@ -65,7 +65,9 @@ def walked(state: VehicleState, label: str, **values: float) -> Track:
 
 def test_a_way_back_crosses_the_egos_path_twice_and_its_conflict_is_the_second_place() -> None:
     """From y = -4 to 2 m past the middle are 6 m. A half turn on foot takes 0.5 m; 2 m later it is in the middle."""
-    back = [way for way in target_of(walker(-4.0, 0.0, 0.0)).ways if way.movement == "back"]
+    back = [
+        way for way in target_of(walker(-4.0, 0.0, 0.0)).ways if way.movement == "back" and way.conflict is not None
+    ]
     assert len(back) == len(TURNS_BACK_M)
     way = back[TURNS_BACK_M.index(2.0)]
     assert way.turn == (6.0, 6.5) and way.conflict is not None
@@ -74,6 +76,19 @@ def test_a_way_back_crosses_the_egos_path_twice_and_its_conflict_is_the_second_p
     assert way.path.y.max() == pytest.approx(2.0)
     assert way.path.x[-1] == pytest.approx(60.0 + 2 * 0.5 / math.pi)  # to its right: east
     assert {round(float(w.path.x[-1]), 2) for w in back} == {59.68, 60.32, 59.36, 60.64}  # none lies on another
+
+
+def test_further_ways_back_turn_round_before_that_and_come_last() -> None:
+    """From y = -4 to 1 m before the middle are 3 m. Those at -3 and -2 m turn by 0.06 rad less than half round."""
+    ways = target_of(walker(-4.0, 0.0, 0.0)).ways
+    early = ways[-4:]
+    assert [way.turn for way in early] == [(1.0, 1.5), (2.0, 2.5), (3.0, 3.5), (4.0, 4.5)]
+    assert all(way.conflict is None and way.movement == "back" for way in early)
+    assert [round(float(way.path.y.max()), 1) for way in early] == [-3.0, -2.0, -1.0, 0.0]
+    leads = [math.cos(way.path.heading[-1] + NORTH) for way in early]
+    assert leads == pytest.approx([math.cos(0.06), math.cos(0.06), math.cos(0.12), math.cos(0.12)])
+    near = target_of(walker(-1.6, 0.0, 0.0)).ways
+    assert [way.turn for way in near if way.conflict is None] == [(0.5, 1.0), (1.5, 2.0)]  # those still ahead
 
 
 def test_one_that_never_crosses_the_egos_path_has_no_way_back() -> None:

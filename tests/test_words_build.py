@@ -296,6 +296,27 @@ def test_a_script_is_written_and_named_first(tmp_path: Path) -> None:
     assert made.scripts == (draft.attack.script,)
 
 
+def walks(*actions: dict[str, Any], kind: str = "pedestrian", **more: Any) -> SceneDraft:
+    """A walker on the right of the ego's way, 60 m ahead, with a script."""
+    attack = {"adversary": "p", "script": {"applies": [kind], "actions": list(actions)}, "asked": {}}
+    return scene(ROAD, EGO, walkers=[{"id": "p", "kind": kind, "at": 60, "offset": -5, **more}], attack=attack)
+
+
+def test_a_script_of_a_walker_is_written_and_named(tmp_path: Path) -> None:
+    draft = walks({"verb": "walk_to", "offset": 0}, {"verb": "wait", "seconds": 1}, {"verb": "turn_back"})
+    made = load_input(build_scenario(draft, tmp_path / "my.toml", WRITTEN))
+    assert made.intents == ("Script: walk to, wait, turn back",)
+    assert made.scripts == (draft.attack.script,)
+
+
+def test_a_bicycle_of_the_traffic_has_the_script_of_a_cyclist(tmp_path: Path) -> None:
+    actions = [{"verb": "wait", "seconds": 1}, {"verb": "walk_to", "offset": 4}]
+    attack = {"adversary": "other", "script": {"applies": ["cyclist"], "actions": actions}, "asked": {}}
+    rider = other(("forward", "forward"), gap=30, type="bicycle", speed=14)
+    made = load_input(build_scenario(scene(ROAD, EGO, rider, attack=attack), tmp_path / "my.toml", WRITTEN))
+    assert made.intents == ("Script: wait, walk to",)
+
+
 @pytest.mark.parametrize(
     ("draft", "says"),
     [
@@ -313,8 +334,12 @@ def test_a_script_is_written_and_named_first(tmp_path: Path) -> None:
             "adversary": "other", "script": {"applies": ["merging"], "actions": [{"verb": "brake", "rate": 5}]},
             "asked": {}}), "The script goes straight on where the route of 'other' goes right from edge 'south_in'"),
         (scene(STRAIGHT, ALONG, walkers=[{"id": "walker", "at": 50, "offset": -5}], attack={
-            "adversary": "walker", "script": {"applies": ["pedestrian"], "actions": [{"verb": "wait", "seconds": 1}]},
-            "asked": {}}), "'walker' is no vehicle, and a script is for vehicles"),
+            "adversary": "walker", "script": {"applies": ["leader"], "actions": [{"verb": "brake", "rate": 4}]},
+            "asked": {}}), "The script begins from leader, and 'walker' is a pedestrian"),
+        (walks({"verb": "walk_to", "offset": 0, "speed": 5}), "(walk_to) goes at 5 m/s, and a pedestrian can at 4 at"),
+        (walks({"verb": "walk_to", "offset": -7}), "leads to -7 m, which lies behind 'p' at -5 m"),
+        (walks({"verb": "walk_to", "offset": 0, "when": {"kind": "time", "value": 2}}, {"verb": "turn_back"},
+               speed=5, heading="along"), "Action 2 of the script (turn_back) needs a way across from the beginning"),
     ],
 )  # fmt: skip
 def test_a_script_that_cannot_be_played_is_one_sentence(tmp_path: Path, draft: SceneDraft, says: str) -> None:

@@ -3,7 +3,8 @@
 Their ways are not lanes. An ``along`` way goes straight on, or along the lane of a cyclist. An ``across`` way turns as
 tightly as the pedestrian or cyclist can, and then goes straight over the ego's path. A pedestrian or cyclist that moves
 has several ``across`` ways, whose turns begin one second after each other. A ``back`` way goes over the ego's path,
-makes a half turn, and leads over the path again.
+makes a half turn, and leads over the path again. Further ways back turn round in the ego's lane or before it. They are
+for scripts, have no conflict, and come last.
 """
 
 from __future__ import annotations
@@ -36,6 +37,11 @@ HALF_TURN_STEPS = {RoadUser.PEDESTRIAN: (1, -1, 2, -2), RoadUser.CYCLIST: (15, -
 The radii are 0.16 m and 0.32 m on foot, 2.39 m and 2.71 m by bicycle. No two ways back lie on each other, so that an
 endpoint tells its way.
 """
+EARLY_TURNS_M = (-3.0, -2.0, -1.0, 0.0)  # the same of scripts; turns in the ego's lane or before it
+EARLY_TURNS_LESS_RAD = (0.06, 0.06, 0.12, 0.12)
+"""By how much each of ``EARLY_TURNS_M`` is less than a half turn. They are as long as the first two half turns, and
+this keeps their ways off one another."""
+MAX_TURN_START_RAD = 0.02  # a half turn begins only where the way goes straight over the ego's path
 MAX_HALF_TURN_SPEED_M_S = 0.45  # m/s, on foot; the motion may be a little faster, and stays below 0.5 m/s
 PAST_START_M = 10.0  # m; how far a way back leads beyond where it began
 MAX_PATH_DISTANCE_M = 25.0  # m of a way across to the conflict with the ego's path; a pedestrian needs 6 s for it
@@ -142,7 +148,8 @@ def ways_back(state: VehicleState, ways: Sequence[ReferencePath], ego_path: Path
         ego_path: The ego's path.
 
     Returns:
-        A way for each of ``TURNS_BACK_M`` with movement ``back``; empty if no way crosses the ego's path.
+        A way for each of ``TURNS_BACK_M`` with movement ``back``, and for each of ``EARLY_TURNS_M`` that is ahead one
+        without a conflict; empty if no way crosses the ego's path.
     """
     user, onto = road_user(state), next((w for w in ways if w.conflict and w.conflict.kind == "crossing"), None)
     if onto is None or onto.conflict is None:
@@ -151,20 +158,33 @@ def ways_back(state: VehicleState, ways: Sequence[ReferencePath], ego_path: Path
     middle, made = onto.conflict.bv_s + abs(float(onto.ego_d[at])), []
     for beyond, steps in zip(TURNS_BACK_M, HALF_TURN_STEPS[user], strict=True):
         begins = round((middle + beyond) / PATH_STEP_M)
-        radius = abs(steps) * PATH_STEP_M / math.pi
-        fastest = math.sqrt(TURN_ACCELERATION_M_S2 * radius)
-        if user is RoadUser.PEDESTRIAN:
-            fastest = min(fastest, MAX_HALF_TURN_SPEED_M_S)
         ends = begins + abs(steps)
-        length = begins * PATH_STEP_M + PAST_START_M
-        way = relate(
-            turned_back(onto.path, begins * PATH_STEP_M, steps, length, fastest), "back", math.inf, False, ego_path
-        )
+        way = _way_back(onto.path, begins, steps, user, ego_path)
         last = relate(_from(way.path, ends), "back", math.inf, False, ego_path).conflict
         if last is not None:
             last = replace(last, bv_s=last.bv_s + ends * PATH_STEP_M)
-            made.append(replace(way, conflict=last, turn=(begins * PATH_STEP_M, ends * PATH_STEP_M)))
+            made.append(replace(way, conflict=last))
+    if len(made) < len(TURNS_BACK_M):
+        return tuple(made)
+    ahead = onto.path.heading
+    for k, (beyond, less) in enumerate(zip(EARLY_TURNS_M, EARLY_TURNS_LESS_RAD, strict=True)):
+        begins = round((middle + beyond) / PATH_STEP_M)
+        if begins > 0 and abs(wrap(float(ahead[begins] - ahead[at]))) < MAX_TURN_START_RAD:
+            made.append(_way_back(onto.path, begins, HALF_TURN_STEPS[user][k % 2], user, ego_path, less))
     return tuple(made)
+
+
+def _way_back(
+    onto: Path, begins: int, steps: int, user: RoadUser, ego_path: Path, less: float = 0.0
+) -> ReferencePath:  # fmt: skip
+    """Return a way that turns back at a sample of a path, without its conflict."""
+    radius = abs(steps) * PATH_STEP_M / math.pi
+    fastest = math.sqrt(TURN_ACCELERATION_M_S2 * radius)
+    if user is RoadUser.PEDESTRIAN:
+        fastest = min(fastest, MAX_HALF_TURN_SPEED_M_S)
+    begin, end = begins * PATH_STEP_M, (begins + abs(steps)) * PATH_STEP_M
+    path = turned_back(onto, begin, steps, begin + PAST_START_M, fastest, less)
+    return replace(relate(path, "back", math.inf, False, ego_path), conflict=None, turn=(begin, end))
 
 
 def _from(path: Path, first: int) -> Path:

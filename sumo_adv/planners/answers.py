@@ -87,7 +87,8 @@ def planner_road(situation: Situation, name: str) -> dict[str, Any]:
     target = situation.targets[name]
     frame, hand = situation.frame, situation.frame.hand
     x, y, h = frame.to_local(target.state.x, target.state.y, target.state.heading)
-    ways = []
+    ways: list[dict[str, Any]] = []
+    turns: list[dict[str, Any]] = []
     for way in target.ways:
         entry: dict[str, Any] = {
             "movement": mirrored(way.movement, hand), "junction": min(way.junction, NO_ARRIVAL_S), "conflict": None,
@@ -102,8 +103,10 @@ def planner_road(situation: Situation, name: str) -> dict[str, Any]:
                 "kind": c.kind, "x": cx, "y": cy, "heading": ch, "bv_distance": c.bv_s, "ego_distance": c.ego_s,
                 "angle": hand * c.angle,
             }  # fmt: skip
-        ways.append(entry)
+        (turns if way.turn is not None and way.conflict is None else ways).append(entry)
+    more = {"turns": turns} if turns else {}  # of scripts: the last ones of the target's ways
     return {
+        **more,
         "relation": target.relation, "left": hand * float(target.ways[0].ego_d[0] + target.offset),
         "lane_width": situation.road.lane_width, "ways": ways,
         "sides": [{"offset": hand * o, "kind": k} for o, k in target.sides],

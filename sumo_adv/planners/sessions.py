@@ -61,6 +61,7 @@ TRUSTED = frozenset(
         "5be1f147619f6221ea4bf3b634a4a60e47832fcc3ef4426ada7f2f7d4324e324",  # pace, of supports
         "4283ecf2a54fa972c12c8dbeb66c821855f5eeb135b5aa656e83d1dbd6da3485",  # pass, of supports
         "2081c29588729aee53054e6a5b5cb9958ef0646be665f7c3b30a24d6ca0b4999",  # script
+        "efa3a8b6904d6534192c12dc3b4f175272cf8d9f0300e27ea73fcfadfd1f52a9",  # script of pedestrians and cyclists
     }
 )
 """Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py``, ``search/intents.py`` and

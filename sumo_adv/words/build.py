@@ -25,7 +25,7 @@ from sumo_adv.script import Script
 from sumo_adv.words.draft import AttackDraft, EgoDraft, LightsPhase, SceneDraft, VehicleDraft, WalkerDraft
 from sumo_adv.words.ego_way import come_after, time_to, way_tables
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
-from sumo_adv.words.scripts import check_script, script_tables
+from sumo_adv.words.scripts import Walker, check_script, check_walker_script, script_tables
 
 MEETING_TIME_S = 9.0  # after the start; the ego then reaches the place where it meets others
 MIN_TIME_TO_MEETING_S = 5.5  # minimum time from the ego's start to the meeting
@@ -220,15 +220,24 @@ def _check_script(scene: SceneDraft, drives: Mapping[str, VehicleRoute], net: Ne
     """Check that those that have a script can play it, and that different scripts have different labels."""
     labels: dict[str, Script] = {}
     for name, script in scene.attack.scripts.items():
-        actor = next((v for v in scene.vehicles if v.id == name), None)
-        if actor is None:
-            raise UsageError(
-                f"'{name}' is no vehicle, and a script is for vehicles: take an intent, or describe it in novel."
-            )
         if labels.setdefault(script.label, script) != script:
             raise UsageError(f"Two scripts have the label '{script.label}': give each a name of its own.")
-        speed = 0.0 if actor.stands else actor.speed / 3.6
-        check_script(script, f"'{name}'", speed, ACTOR_SIZES_M[actor.type], drives[name], net, DRAFT_HORIZON_S)
+        actor = next((v for v in scene.vehicles if v.id == name), None)
+        if actor is None or actor.type == "bicycle":
+            check_walker_script(script, f"'{name}'", _walker(scene, name, actor), DRAFT_HORIZON_S)
+        else:
+            speed = 0.0 if actor.stands else actor.speed / 3.6
+            check_script(script, f"'{name}'", speed, ACTOR_SIZES_M[actor.type], drives[name], net, DRAFT_HORIZON_S)
+
+
+def _walker(scene: SceneDraft, name: str, rider: VehicleDraft | None) -> Walker:
+    """Return an adversary at the beginning of its attack: a rider on the road, or one of the walkers."""
+    if rider is not None:
+        return Walker(RoadUser.CYCLIST, 0.0 if rider.stands else rider.speed / 3.6, None, False)
+    walker = next(w for w in scene.walkers if w.id == name)
+    crosses = walker.heading == "across" or walker.speed == 0
+    moved = walker.speed > 0 and walker.heading == "across"  # it may have come over the ego's way by then
+    return Walker(RoadUser(walker.kind), walker.speed / 3.6, None if moved else walker.offset, crosses)
 
 
 def _demand(ego: EgoDraft, ego_drive: VehicleRoute, start: float, placed: list[Placed]) -> str:
