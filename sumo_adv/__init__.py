@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sumo_adv.api_batch import Campaign, batch, crash_rate, hunt
     from sumo_adv.drivers import LaneSpeed, Observation, PlannedPose, Pose, Steer
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 __all__ = [
     "Campaign", "LaneSpeed", "Observation", "PlannedPose", "Pose", "Result", "Steer", "__version__", "batch",
     "crash_rate", "hunt", "judge", "load", "run",
