@@ -191,7 +191,8 @@ class ModelAnalyzer:
             self.read = _read(answers[0], aliases)
             scripted = [script_intent(each, aliases) for each in answers[0].scripts]
             answers = [answers[0]]  # the conditions must come from a single reading of the request
-        ranked, self.distribution = _ranking(answers, aliases)
+        ranked, distribution = _ranking(answers, aliases)
+        self.distribution = _with_scripts(distribution, scripted)
         teams = (team for answer in answers if isinstance(answer, TeamAnalysis) for team in answer.compositions)
         self.casts = casts_of(teams, aliases, entries)
         return [*scripted, *(_intent(choice, aliases, entries, situations) for choice in ranked)]
@@ -392,6 +393,15 @@ def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice
     entropy = -sum(p * math.log(p) for p in shares.values())
     maximum = math.log(min(len(answers), max(len(chosen), 2))) if len(answers) > 1 else 1.0
     return [chosen[k] for k in order], Distribution(len(answers), shares, round(entropy / maximum, 4) + 0.0, expected)
+
+
+def _with_scripts(distribution: Distribution, scripted: Sequence[Intent]) -> Distribution:
+    """Return the distribution of a single answer with its scripts before its other intents."""
+    if not scripted:
+        return distribution
+    risks = {(i.bv, i.label): RISK_VALUES[i.risk] for i in scripted}
+    first = {(scripted[0].bv, scripted[0].label): 1.0}
+    return replace(distribution, first=first, expected_risk=risks | dict(distribution.expected_risk))
 
 
 def _intent(
