@@ -18,9 +18,9 @@ from sumo_adv.agents.analyzer import Distribution, ModelAnalyzer
 from sumo_adv.agents.feedback import AttemptReport
 from sumo_adv.agents.generator import ModelGenerator, Trial, expert_planners
 from sumo_adv.agents.modifier import Change, ModelModifier, RepairScene
+from sumo_adv.agents.request import ReadRequest
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.agents.ways import evidence_words
-from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.errors import ModelError
@@ -67,8 +67,7 @@ class Agents:
         failed: Why the expert took over a role, by role.
         bought: The results of the questions so far.
         casts: The compositions that the analysis proposes.
-        asked: What an attack must show if it was requested in words; None otherwise.
-        why_not: Why the request cannot be played in the encounter; empty if it can.
+        read: What the model makes of an attack that was requested in words; None if none was.
     """
 
     def __init__(
@@ -92,8 +91,7 @@ class Agents:
         self.failed: dict[str, str] = {}  # by role
         self.bought: list[Bought] = []
         self.casts: tuple[Cast, ...] = ()
-        self.asked: Asked | None = None
-        self.why_not = ""
+        self.read: ReadRequest | None = None
         self._novel = False  # whether the analysis contains a new intent
 
     def player(self, role: str) -> str:
@@ -154,6 +152,8 @@ class Agents:
             ModelError: The model failed, and the expert may not take over.
         """
 
+        self.read = None
+
         def by_model() -> list[Intent]:
             evidence = partial(evidence_words, search.pool, library=library, remembered=remembered)
             analyzer = ModelAnalyzer(
@@ -163,11 +163,13 @@ class Agents:
                 request=self.settings.ask or "",
             )  # fmt: skip
             intents = analyzer.analyze(situations, library)
-            self.asked, self.why_not = analyzer.asked, analyzer.why_not
+            self.read = analyzer.read
             self._distribution, self.casts = analyzer.distribution, analyzer.casts
-            novel, ways = sum(i.source == "generated" for i in intents), sum(len(i.ways) for i in intents)
+            scripts = 0 if analyzer.read is None else len(analyzer.read.scripts)
+            novel, ways = sum(i.source == "generated" for i in intents) - scripts, sum(len(i.ways) for i in intents)
             self._novel = novel > 0
             summary = f"{len(intents)} intents, {novel} of them novel, {ways} ways"
+            summary += f", scripts: {scripts}" if scripts else ""
             teams = f", compositions: {len(self.casts)}" if self.casts else ""
             self.bought.append(Bought("analyzer", f"{summary}{teams}"))
             return intents

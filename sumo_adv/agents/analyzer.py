@@ -17,11 +17,21 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.choices import analysis_schema, same_schema
+from sumo_adv.agents.request import (
+    MAX_SCRIPTS,
+    Demand,
+    ReadRequest,
+    Scripted,
+    attackers_of,
+    demands_fault,
+    script_fault,
+    script_intent,
+)
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
 from sumo_adv.agents.teams import MAX_PROPOSED_COMPOSITIONS, Team, Teamwork, casts_of, team_fault, teams_words
 from sumo_adv.agents.ways import MAX_WAYS_PER_INTENT, HowTo, library_words, modes_words, starts_words, way_fault, way_of
 from sumo_adv.asked import MEANINGS, Asked
-from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
+from sumo_adv.datatypes import MAX_ADVERSARIES, Intent, LibraryEntry, Limits, acceleration_of
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
 from sumo_adv.llm.prompts import MAX_PROMPT_TEXT_CHARACTERS, Prompt, Prompts, danger_words, fenced, sanitize
 from sumo_adv.search.supports import Cast
@@ -67,6 +77,8 @@ class AskedAnalysis(TeamAnalysis):
     can_be_played: bool
     why_not: str = Field(default="", max_length=600)
     asked: Asked = Asked()
+    scripts: list[Scripted] = Field(default_factory=list, max_length=MAX_SCRIPTS)
+    attackers: list[Demand] = Field(default_factory=list, max_length=MAX_ADVERSARIES)
 
 
 class Same(BaseModel):
@@ -111,8 +123,7 @@ class ModelAnalyzer:
     """Asks a model about a situation.
 
     Attributes:
-        asked: What an attack must show by the last analysis of a request; None without a request.
-        why_not: Why the request cannot be played here; empty if it can.
+        read: What the last analysis makes of the request; None without a request.
         distribution: The answers of the last analysis; None before the first one.
         casts: The compositions that these answers propose.
     """
@@ -137,8 +148,7 @@ class ModelAnalyzer:
         self._metered, self._prompts, self._limits = metered, prompts, limits
         self._samples, self._allowed, self._evidence = samples, tuple(allowed), evidence
         self._teamwork, self._request = teamwork, request
-        self.asked: Asked | None = None
-        self.why_not = ""
+        self.read: ReadRequest | None = None
         self.distribution: Distribution | None = None
         self.casts: tuple[Cast, ...] = ()
 
@@ -150,7 +160,7 @@ class ModelAnalyzer:
             library: The known intents.
 
         Returns:
-            The intents; none if the model sees nothing dangerous.
+            The intents, scripts first; none if the model sees nothing dangerous.
 
         Raises:
             ModelError: The model failed.
@@ -176,13 +186,16 @@ class ModelAnalyzer:
             self._metered, "analyzer", prompt.system, prompt.user, answer_type, samples=self._samples, check=check,
             schema=schema,
         )  # fmt: skip
+        scripted = list[Intent]()
         if isinstance(answers[0], AskedAnalysis):
-            self.asked, self.why_not = answers[0].asked, sanitize(answers[0].why_not)
+            self.read = _read(answers[0], aliases)
+            scripted = [script_intent(each, aliases) for each in answers[0].scripts]
             answers = [answers[0]]  # the conditions must come from a single reading of the request
-        ranked, self.distribution = _ranking(answers, aliases)
+        ranked, distribution = _ranking(answers, aliases)
+        self.distribution = _with_scripts(distribution, scripted)
         teams = (team for answer in answers if isinstance(answer, TeamAnalysis) for team in answer.compositions)
         self.casts = casts_of(teams, aliases, entries)
-        return [_intent(choice, aliases, entries, situations) for choice in ranked]
+        return [*scripted, *(_intent(choice, aliases, entries, situations) for choice in ranked)]
 
     def confirm(
         self, intent: Intent, nearest: Sequence[LibraryEntry], situations: Mapping[float, Situation]
@@ -262,7 +275,7 @@ class ModelAnalyzer:
             if key in seen:
                 return f"{choice.bv} with '{sanitize(choice.label)}' is listed twice."
             seen.add(key)
-        if isinstance(answer, AskedAnalysis) and (wrong := _asked_fault(answer)) is not None:
+        if isinstance(answer, AskedAnalysis) and (wrong := self._request_fault(answer, situation, aliases)) is not None:
             return wrong
         if sum(c.novel for c in answer.intents) > MAX_NOVEL_INTENTS:
             return f"At most {MAX_NOVEL_INTENTS} intents may be novel."
@@ -270,6 +283,17 @@ class ModelAnalyzer:
             return None
         faults = (team_fault(team, self._teamwork, situation, aliases, library) for team in answer.compositions)
         return next((fault for fault in faults if fault is not None), None)
+
+    def _request_fault(self, answer: AskedAnalysis, situation: Situation, aliases: Aliases) -> str | None:
+        """Return the fault of the parts that answer a request; None if they are usable."""
+        if (fault := _asked_fault(answer)) is not None:
+            return fault
+        for scripted in answer.scripts:
+            fault = script_fault(scripted, situation, aliases, self._limits, self._teamwork, self._allowed)
+            if fault is not None:
+                return fault
+        attacking = [each.bv for each in answer.scripts] + [choice.bv for choice in answer.intents]
+        return demands_fault(answer.attackers, attacking, answer.compositions, self._teamwork)
 
     def _novelty_fault(self, choice: Choice, entry: LibraryEntry | None) -> str | None:
         """Return the fault of a novel intent; None if it is usable."""
@@ -325,19 +349,27 @@ def analyzer_prompt(
     more = [] if teamwork is None else [teams_words(prompts, teamwork, situation, aliases, library)]
     if request:
         events = "\n".join(f" - {event}: {meaning}" for event, meaning in MEANINGS.items())
-        more.append(prompts.piece("request", request=fenced(request), events=events))
+        sides = " Traffic keeps left here: exchange left and right in a script." if situation.frame.hand < 0 else ""
+        more.append(prompts.piece("request", request=fenced(request), events=events, sides=sides))
     return replace(prompt, user="\n\n".join([prompt.user, *more]))
 
 
 def _asked_fault(answer: AskedAnalysis) -> str | None:
     """Return the fault of the answer to a request; None if the answer is usable."""
-    if answer.can_be_played and not answer.intents:
-        return "The request can be played, so give one intent or more, or set can_be_played to false."
-    if not answer.can_be_played and answer.intents:
-        return "The request cannot be played here, so give no intents, or set can_be_played to true."
+    if answer.can_be_played and not (answer.intents or answer.scripts):
+        return "The request can be played, so give one intent or script or more, or set can_be_played to false."
+    if not answer.can_be_played and (answer.intents or answer.scripts):
+        return "The request cannot be played here, so give no intents and no scripts, or set can_be_played to true."
     if not answer.can_be_played and len(answer.why_not.split()) < 3:
         return "Say in why_not, in one sentence, why the request cannot be played here."
     return None
+
+
+def _read(answer: AskedAnalysis, aliases: Aliases) -> ReadRequest:
+    """Return what a usable answer makes of the request."""
+    scripts = tuple(each.script for each in answer.scripts)
+    attackers = attackers_of(answer.attackers, aliases.bvs)
+    return ReadRequest(answer.asked, sanitize(answer.why_not), scripts, attackers)
 
 
 def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice], Distribution]:
@@ -361,6 +393,15 @@ def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice
     entropy = -sum(p * math.log(p) for p in shares.values())
     maximum = math.log(min(len(answers), max(len(chosen), 2))) if len(answers) > 1 else 1.0
     return [chosen[k] for k in order], Distribution(len(answers), shares, round(entropy / maximum, 4) + 0.0, expected)
+
+
+def _with_scripts(distribution: Distribution, scripted: Sequence[Intent]) -> Distribution:
+    """Return the distribution of a single answer with its scripts before its other intents."""
+    if not scripted:
+        return distribution
+    risks = {(i.bv, i.label): RISK_VALUES[i.risk] for i in scripted}
+    first = {(scripted[0].bv, scripted[0].label): 1.0}
+    return replace(distribution, first=first, expected_risk=risks | dict(distribution.expected_risk))
 
 
 def _intent(

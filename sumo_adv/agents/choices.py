@@ -38,8 +38,9 @@ def analysis_schema(
         novel: Whether an intent may be new. A new one has any label; all others have one of the library's.
     """
     labels = [sanitize(entry.label) for entry in library]
+    attacking = colliders if teamwork is not None else vehicles
     values: dict[str, Iterable[str]] = {
-        "Choice.bv": colliders if teamwork is not None else vehicles, "Choice.label": labels,
+        "Choice.bv": attacking, "Scripted.bv": attacking, "Demand.bv": attacking, "Choice.label": labels,
         "HowTo.mode": _modes(library),
     }  # fmt: skip
     if teamwork is not None:

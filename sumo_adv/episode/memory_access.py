@@ -59,9 +59,23 @@ def read_library(
     for shipped in unprotected_library():
         if near.intersection(shipped.applies) and held.get(shipped.label, "active") == "active":
             entries = _with(entries, shipped)
+    return with_scripts(entries, scripts), explained
+
+
+def with_scripts(library: Sequence[LibraryEntry], scripts: Sequence[Script]) -> list[LibraryEntry]:
+    """Add scripts to a library as intents.
+
+    Args:
+        library: The library.
+        scripts: The scripts.
+
+    Returns:
+        The library. If it has an intent with the label of a script, that intent has the script's planner as well.
+    """
+    entries = list(library)
     for script in scripts:
         entries = _with(entries, script_entry(script))
-    return entries, explained
+    return entries
 
 
 @lru_cache(maxsize=1)

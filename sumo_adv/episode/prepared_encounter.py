@@ -19,6 +19,7 @@ from sumo_adv.episode.memory_access import (
     retrieve,
     selected,
     signature,
+    with_scripts,
 )
 from sumo_adv.episode.run import EncounterRecord, Keep, Request
 from sumo_adv.episode.task import FoundEncounter, Task
@@ -169,6 +170,8 @@ def analyze(
                 chosen = {(i.bv, i.label) for i in intents}
                 others = (i for i in prepared.search.ranking(library) if (i.bv, i.label) not in chosen)
                 record = replace(record, intents=[*intents, *others])
+            scripts = () if agents.read is None else agents.read.scripts
+            library = with_scripts(library, scripts)
             retrieved = retrieve(record.intents, agents, situations, library, bank)
             record = replace(record, intents=retrieved.intents)
         clock.move(retrieved.seconds, "analyzer", "retrieval")
@@ -188,10 +191,10 @@ def _draw_from(
 ) -> None:  # fmt: skip
     """Have the search draw from the analyzer's choice: its library, and the intents and casts of the record."""
     labels = {i.label for i in record.intents}
+    if agents.read is not None:
+        prepared.search.confine({(i.bv, i.label) for i in record.intents}, prepared.library, agents.read.attackers)
     if entries != prepared.library or any(composed(e) and e.label in labels for e in entries):
         prepared.search.extend([e for e in entries if not composed(e) or e.label in labels])
-    if settings.ask is not None:
-        prepared.search.confine({(i.bv, i.label) for i in record.intents})
     if record.casts and settings.tuner == "builtin":
         prepared.search.add_casts(record.casts, agents.player("analyzer"))
 
@@ -200,10 +203,12 @@ def _with_request(record: EncounterRecord, settings: Settings, agents: Agents) -
     """Add to the record what a model made of the words of ``ask``, or why they cannot be played here."""
     if settings.ask is None:
         return record
-    if agents.asked is None:  # no model, or one that failed and was replaced
+    read = agents.read
+    if read is None:  # no model, or one that failed and was replaced
         raise needs_model("An attack in words", settings.ask)
-    record = replace(record, request=Request(agents.asked, settings.ask, agents.why_not))
-    if not agents.why_not:
+    attackers = {each.id: each.asked for each in read.attackers}
+    record = replace(record, request=Request(read.asked, settings.ask, read.why_not, attackers, read.scripts))
+    if not read.why_not:
         return record
-    note = f"The encounter at {record.found.time:.1f} s cannot play the request: {agents.why_not}"
+    note = f"The encounter at {record.found.time:.1f} s cannot play the request: {read.why_not}"
     return replace(record, notes=[*record.notes, note])

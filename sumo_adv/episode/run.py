@@ -16,6 +16,7 @@ from sumo_adv.episode.neighbours import Robustness
 from sumo_adv.episode.order import best_index, rank
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix, Task
 from sumo_adv.goal import Goal
+from sumo_adv.script import Script
 from sumo_adv.search.supports import Cast
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.words.request import Reading
@@ -30,12 +31,14 @@ class Request:
         words: The request in words; empty if there are none.
         declined: Why the request cannot be played in the encounter; empty if it can.
         attackers: What must be true of each of several attackers, by id; empty for one adversary.
+        scripts: The scripts that a model gives to vehicles, as it reads the words.
     """
 
     asked: Asked | None = None
     words: str = ""
     declined: str = ""
     attackers: Mapping[str, Asked] = field(default_factory=dict)
+    scripts: Sequence[Script] = ()
 
     @staticmethod
     def of(run_input: RunInput) -> Request:

@@ -12,6 +12,7 @@ from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.agents.agents import AGENT_ROLES, BUILT_IN_AGENTS, Agents
+from sumo_adv.asked import Attacker
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import (
     ENDING_SENTENCES,
@@ -31,7 +32,7 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.outcome_schema import OUTCOME_SCHEMA
 from sumo_adv.scenario_names import columns_of
-from sumo_adv.simulation.inputs import EgoRoute
+from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.simulation.warnings_log import kinds_of
 from sumo_adv.words.fit import Part, compare_attackers, misfits
@@ -174,13 +175,20 @@ def _asked(request: Request, record: EncounterRecord | None, settings: Settings)
 
 
 def _requested(request: Request) -> dict[str, Any]:
-    """Return what must be true of the attack and, of several attackers, of each."""
+    """Return what must be true of the attack and, of several attackers, of each; and the scripts that words led to."""
     assert request.asked is not None
     attack = request.asked.model_dump(mode="json", exclude_defaults=True)
-    if not request.attackers:
-        return {"attack": attack}
     each = {name: own.model_dump(mode="json", exclude_defaults=True) for name, own in request.attackers.items()}
-    return {"attack": attack, "attackers": each}
+    scripts = [script.model_dump(mode="json", exclude_defaults=True) for script in request.scripts]
+    more = {"attackers": each, "scripts": scripts}
+    return {"attack": attack, **{key: value for key, value in more.items() if value}}
+
+
+def _attackers(run_input: RunInput, request: Request) -> list[dict[str, Any]]:
+    """Return the vehicles that attack together with what is requested of each, as in a scenario file."""
+    intents = {each.id: each.intents for each in run_input.attackers}
+    made = [Attacker(id=name, intents=intents.get(name, ()), asked=own) for name, own in request.attackers.items()]
+    return [each.model_dump(mode="json", exclude_defaults=True) for each in made]
 
 
 def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
@@ -377,7 +385,7 @@ def manifest(run: Run, record: EncounterRecord | None, inputs: Mapping[Path, str
         "skips": run.encounters_before(record),
         "intents_allowed": list(run_input.intents), "words": request.words or None,
         "asked": None if request.asked is None else request.asked.model_dump(mode="json", exclude_defaults=True),
-        "attackers": [each.model_dump(mode="json", exclude_defaults=True) for each in run_input.attackers],
+        "attackers": _attackers(run_input, request),
         "bank_hash": run.bank_hash, "bandit": [] if record is None else list(record.bandit),
         "model_answers": None if model_agents is None else MODEL_FILE,
         "prompts": None if model_agents is None else model_agents.prompts.versions,

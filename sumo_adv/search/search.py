@@ -178,16 +178,24 @@ class AttackSearch:
             self._evolution.add(self._support.known(self._templates))
         return list(self._templates)
 
-    def confine(self, pairs: Collection[tuple[str, str]]) -> None:
+    def confine(
+        self, pairs: Collection[tuple[str, str]], library: Sequence[LibraryEntry], attackers: Sequence[Attacker] = ()
+    ) -> None:  # fmt: skip
         """Try only these vehicles with these intents from now on.
 
         Args:
             pairs: The ids of vehicles and the labels of intents.
+            library: The intents to draw from.
+            attackers: The vehicles that attack together in each candidate; empty for one collider. Their candidates are
+                not predicted, because a prediction knows one collider.
         """
         self._pairs = frozenset(pairs)
-        self.pool = [p for p in self.pool if (p.bv, p.label) in self._pairs]
+        if attackers and self._support is not None:
+            self._support.let_attack(attackers)
+            self._predicts = False
+        self.pool = [p for p in self.pool if self._predicts and (p.bv, p.label) in self._pairs]
         self._evolution = self._new_evolution()
-        self._evolution.draw_from(self._templates)
+        self._evolution.draw_from(self._templates_of(library, [e.label for e in self._selection.of(library)]))
 
     def add_chosen(self, chosen: Sequence[Proposal]) -> None:
         """Add candidates that a language model chose, and predict them with variations of their parameters.

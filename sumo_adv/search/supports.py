@@ -202,6 +202,14 @@ class Supports:
         self._situations, self._random, self._most = situations, random, most
         self._proposed: tuple[Composition, ...] = ()  # by the analyzer
 
+    def let_attack(self, attackers: Sequence[Attacker]) -> None:
+        """Have these vehicles attack together in each candidate from now on.
+
+        Args:
+            attackers: The vehicles.
+        """
+        self.attackers = Attackers(attackers, self._random)
+
     def known(self, templates: Sequence[AttackTemplate]) -> list[Proposal]:
         """Return candidates of the known compositions, with default parameters.
 

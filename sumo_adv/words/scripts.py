@@ -60,10 +60,29 @@ def check_script(
     Raises:
         UsageError: It cannot. The message is one sentence that names the action.
     """
+    check_actions(script, who, speed, limits_of(Body(*size), Limits()), net.lanes_beside(drive), horizon)
+    _check_turn(script, who, drive, net)
+
+
+def check_actions(
+    script: Script, who: str, speed: float, limits: Limits, beside: tuple[int, int], horizon: float
+) -> None:  # fmt: skip
+    """Check that a vehicle can play the actions of a script: its speeds and accelerations, its lanes and its times.
+
+    Args:
+        script: The script.
+        who: The vehicle, for messages.
+        speed: Its speed when the attack begins [m/s].
+        limits: The limits of its motion.
+        beside: How many lanes are to its right and to its left.
+        horizon: The time within which all actions must begin [s].
+
+    Raises:
+        UsageError: It cannot. The message is one sentence that names the action.
+    """
     _check_user(script, who, RoadUser.VEHICLE)
-    limits = limits_of(Body(*size), Limits())
     most = min(limits.acceleration, USUAL_ACCELERATION_M_S2)
-    right, left = net.lanes_beside(drive)
+    right, left = beside
     now, begin, end, lanes = speed, 0.0, 0.0, 0
     for k, action in enumerate(script.actions):
         this = f"Action {k + 1} of the script ({action.verb})"
@@ -97,7 +116,6 @@ def check_script(
         if now == 0.0 and action.verb in (Verb.LANE_CHANGE, Verb.LATERAL_OFFSET, Verb.TURN):
             raise UsageError(f"{this} begins when {who} stands: let it drive on first (speed).")
         end = begin + seconds
-    _check_turn(script, who, drive, net)
 
 
 def check_walker_script(script: Script, who: str, walker: Walker, horizon: float) -> None:
