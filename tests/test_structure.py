@@ -48,7 +48,7 @@ SIDEWAYS = {("asked", "datatypes"), ("asked", "road_users"), ("consistency", "da
             ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"),
             ("scenario_names", "datatypes"), ("situation", "datatypes"),
             ("situation", "geometry"), ("situation", "road_users"),
-            ("agents", "words"), ("benchmark", "campaigns"),
+            ("benchmark", "campaigns"),
             ("report", "womd"), ("cli", "api"), ("cli", "api_batch"), ("api_batch", "api"),
             ("__main__", "cli")}  # fmt: skip
 """Pairs of neighbours of which the first may import the second."""

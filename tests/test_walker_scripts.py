@@ -20,13 +20,13 @@ from sumo_adv.episode.unprotected import unprotected_ways, ways_back
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.gates import kinematic_gates
 from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.script_checks import Walker, check_walker_script
 from sumo_adv.planners.scripts import script_planner
 from sumo_adv.planners.sessions import ask_trusted, is_trusted
 from sumo_adv.planners.trial import trial
 from sumo_adv.road_users import UNPROTECTED_LIMITS, RoadUser, road_user
 from sumo_adv.script import Script
 from sumo_adv.situation import Target
-from sumo_adv.words.scripts import Walker, check_walker_script
 
 PERSON, BICYCLE = (0.5, 0.5), (1.8, 0.6)
 NORTH = math.pi / 2

@@ -293,6 +293,15 @@ def test_each_attacker_has_its_own_demands() -> None:
     )
 
 
+def test_one_of_several_may_only_play_its_part() -> None:
+    answer = attacking(RIGHT, LEFT)
+    answer["attackers"][1]["attacks"] = False
+    asking = analyzer(Answers(AskedAnalysis.model_validate(answer)))
+    asking.analyze({0.0: SCENE}, [SHIFT])
+    assert asking.read is not None
+    assert [(each.id, each.attacks) for each in asking.read.attackers] == [("right", True), ("left", False)]
+
+
 @pytest.mark.parametrize(
     ("wrong", "most", "sentence"),
     [

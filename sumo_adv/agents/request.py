@@ -17,10 +17,10 @@ from sumo_adv.asked import Asked, Attacker
 from sumo_adv.datatypes import Intent, Limits
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.prompts import sanitize
-from sumo_adv.road_users import is_unprotected, limits_of
+from sumo_adv.planners.script_checks import Walker, check_actions, check_walker_script
+from sumo_adv.road_users import RoadUser, limits_of, road_user
 from sumo_adv.script import Script, Verb
 from sumo_adv.situation import Situation, Target, mirrored
-from sumo_adv.words.scripts import check_actions
 
 MAX_SCRIPTS = 3  # maximum number in one answer
 STRAIGHT_ON = ("straight", "none")  # movements of the ways that a script without a turn takes
@@ -37,9 +37,11 @@ class Scripted(BaseModel):
 
 
 class Demand(BaseModel):
-    """One of the vehicles that attack together, and what must be true of it, without level and within."""
+    """One of the vehicles that attack together, and what must be true of it, without level and within. attacks: false
+    for one that only plays its part, so that touching it is no success."""
 
     bv: str
+    attacks: bool = True
     asked: Asked = Asked()
 
 
@@ -86,16 +88,17 @@ def script_fault(
     if teamwork is not None and not teamwork.may_collide(bv):
         return f"{name} may only be a support, so it can have no script."
     target, script = situation.targets[bv], scripted.script
-    if is_unprotected(target.state):
-        return f"{name} is a pedestrian or cyclist, and a script is for vehicles: choose a behaviour for it."
     if not set(script.applies) & set(target.applies()):
         return (
             f"The script does not apply to {name} from where it is: its applies must have one of "
             f"{', '.join(target.applies())}."
         )
+    user, speed = road_user(target.state), target.state.speed
     try:
-        lanes = _lanes_beside(target)
-        check_actions(script, name, target.state.speed, limits_of(target.state, limits), lanes, situation.horizon)
+        if user is not RoadUser.VEHICLE:
+            check_walker_script(script, name, Walker(user, speed, None, crosses=True), situation.horizon)
+            return None
+        check_actions(script, name, speed, limits_of(target.state, limits), _lanes_beside(target), situation.horizon)
     except UsageError as error:
         return str(error)
     return _turn_fault(script, name, target)
@@ -122,6 +125,8 @@ def demands_fault(
         return "Only one vehicle may attack here, so attackers must be empty."
     if len(set(names)) < len(names) or not 2 <= len(names) <= teamwork.most:
         return f"attackers must be empty, or have 2 to {teamwork.most} different vehicles."
+    if not any(demand.attacks for demand in demands):
+        return "One of attackers must attack, and all of them have attacks false."
     idle = [sanitize(name) for name in names if name not in attacking]
     if idle:
         return f"{idle[0]} is one of attackers, so give it an intent or a script."
@@ -154,7 +159,7 @@ def attackers_of(demands: Sequence[Demand], bvs: Mapping[str, str]) -> tuple[Att
         demands: The usable demands.
         bvs: The ids of the vehicles by alias.
     """
-    return tuple(Attacker(id=bvs[demand.bv], asked=demand.asked) for demand in demands)
+    return tuple(Attacker(id=bvs[demand.bv], attacks=demand.attacks, asked=demand.asked) for demand in demands)
 
 
 def _lanes_beside(target: Target) -> tuple[int, int]:

@@ -20,12 +20,13 @@ from sumo_adv.asked import RequestOrigin
 from sumo_adv.datatypes import MAX_ADVERSARIES
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines, toml_text
+from sumo_adv.planners.script_checks import Walker, check_walker_script
 from sumo_adv.road_users import UNPROTECTED_SPEEDS_M_S, RoadUser
 from sumo_adv.script import Script
 from sumo_adv.words.draft import AttackDraft, EgoDraft, LightsPhase, SceneDraft, VehicleDraft, WalkerDraft
 from sumo_adv.words.ego_way import come_after, time_to, way_tables
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
-from sumo_adv.words.scripts import Walker, check_script, check_walker_script, script_tables
+from sumo_adv.words.scripts import check_script, script_tables
 
 MEETING_TIME_S = 9.0  # after the start; the ego then reaches the place where it meets others
 MIN_TIME_TO_MEETING_S = 5.5  # minimum time from the ego's start to the meeting
