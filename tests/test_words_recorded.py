@@ -1,4 +1,4 @@
-"""Answers of a large language model to six requests, replayed: the scenarios of ``examples/words`` come out again."""
+"""answers of a large language model to eight requests, replayed: the scenarios of ``examples/words`` come out again."""
 
 from __future__ import annotations
 

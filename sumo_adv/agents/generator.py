@@ -40,6 +40,7 @@ class ModelGenerator:
         trial: Runs a planner in the sandbox.
         tries: How often the sandbox's fault is sent back to the model, at most.
         instruction: The user's instruction for the trajectory (the paper's psi), or None.
+        applies: The relations from which an intent begins that is written from its description alone.
     """
 
     metered: MeteredModel
@@ -48,6 +49,7 @@ class ModelGenerator:
     trial: Trial
     tries: int = 3
     instruction: str | None = None
+    applies: Sequence[str] = ()
 
     def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> tuple[Planner]:
         """Write one planner that runs in the sandbox.
@@ -61,7 +63,9 @@ class ModelGenerator:
             ModelError: The model gave no usable planner.
             BudgetError: The run may ask no more.
         """
-        prompt = generator_prompt(self.prompts, intent, situation, examples, self.limits, self.instruction)
+        prompt = generator_prompt(
+            self.prompts, intent, situation, examples, self.limits, self.instruction, self.applies
+        )
 
         def build(answer: Written) -> Planner:
             text, mode = without_fence(answer.source), mode_name(answer.mode)
@@ -101,7 +105,7 @@ def expert_planners(intent: Intent, examples: Sequence[LibraryEntry]) -> tuple[P
 
 def generator_prompt(
     prompts: Prompts, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry], limits: Limits,
-    instruction: str | None,
+    instruction: str | None, applies: Sequence[str] = (),
 ) -> Prompt:  # fmt: skip
     """Return the generator's prompt.
 
@@ -112,10 +116,15 @@ def generator_prompt(
         examples: Similar intents with planners, nearest first.
         limits: The limits of the adversary.
         instruction: The user's instruction for the trajectory (the paper's psi), or None.
+        applies: The relations from which an intent begins that is written from its description alone.
     """
-    scene, relation = "None in particular: it is written for the library.", "as the description says"
     driver = "not known."
-    if situation is not None:
+    if situation is None:
+        on_foot_or_bicycle = any(relation.startswith(("pedestrian", "cyclist")) for relation in applies)
+        walkers = prompts.piece("walkers") if on_foot_or_bicycle else ""
+        scene = prompts.piece("novel", walkers=walkers).strip()
+        relation = " or ".join(applies).replace("_", " ") or "as the description says"
+    else:
         aliases = Aliases.of(situation)
         alias = aliases.by_id.get(intent.bv, "BV1")
         relation = situation.targets[intent.bv].relation

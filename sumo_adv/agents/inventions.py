@@ -61,7 +61,7 @@ class Inventions:
         generator = ModelGenerator(
             self.metered, self.prompts, self.settings.limits.limits(),
             lambda planner: trial(self.sandbox, planner, record.applies, type_check=True),
-            tries=self.settings.generations,
+            tries=self.settings.generations, applies=record.applies,
         )  # fmt: skip
         (planner,) = generator.generate(Intent("", record.label, record.description, "high", 0.0), None, examples)
         with MemoryBank.open(self.copy, seed_from=self.bank.path) as copy:

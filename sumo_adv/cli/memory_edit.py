@@ -263,7 +263,7 @@ def _written(settings: Settings, name: str, intent: IntentRecord, near: list[Lib
         generator = ModelGenerator(
             MeteredModel(open_model(name, settings, ledger), ledger), shipped_prompts(), settings.limits.limits(),
             lambda p: trial(sandbox, p, intent.applies, type_check=True), tries=settings.generations,
-            instruction=settings.instruction,
+            instruction=settings.instruction, applies=intent.applies,
         )  # fmt: skip
         return generator.generate(Intent("", intent.label, intent.description, "high", 0.0), None, near)[0]
 

@@ -20,8 +20,8 @@ from sumo_adv.metrics.avoidance import HAZARD_TO_MANOEUVRE_S
 from sumo_adv.metrics.reference import brakers, cc_human
 
 PROMPT_NAMES = (
-    "analyzer", "confirm", "danger", "feedback", "generator", "modifier", "planner", "reading", "request", "teams",
-    "write",
+    "analyzer", "confirm", "danger", "feedback", "generator", "modifier", "novel", "planner", "reading", "request",
+    "teams", "walkers", "write",
 )  # fmt: skip
 MAX_PROMPT_TEXT_CHARACTERS = 600  # of a label or description in a prompt
 

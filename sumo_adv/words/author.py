@@ -284,14 +284,21 @@ def _what_happened(played: Played) -> str:
     lines += [holds] if (holds := held(asked["parts"])) else []
     gates = outcome["outcome"]["failed_gates"]
     lines += [f"Gates that failed: {', '.join(gates)}."] if gates else []
-    lines += [f"Attempt {fact}" for fact in attempt_facts(outcome["attempts"])]
+    own = [part.label for part in (played.scene.attack.script, played.scene.attack.novel) if part is not None]
+    lines += [f"Attempt {fact}" for fact in attempt_facts(outcome["attempts"], own)]
+    tried = {attempt["intent"] for attempt in outcome["attempts"]}
+    lines += [
+        f"No attempt plays '{sanitize(label)}': nobody was where it begins." for label in own if label not in tried
+    ]
     who = ", ".join(f"{letter} is '{name}'" for letter, name in zip("ABC", played.scene.attack.attackers, strict=False))
     lines.append(f"Its motion, from when the attack began ({who}):\n{asked['motion']}")
     lines.append("Change places, speeds, the road, intents or what is asked, whichever is the reason.")
     return "\n".join(lines)
 
 
-def attempt_facts(attempts: Sequence[Mapping[str, Any]], most: int = FACTS) -> list[str]:
+def attempt_facts(
+    attempts: Sequence[Mapping[str, Any]], wanted: Collection[str] = (), most: int = FACTS
+) -> list[str]:  # fmt: skip
     """Say in one line each how far the best attempts came, best first.
 
     Better attempts have a higher level, lack less of the request, and have a lower minimum TTC. Of attempts with the
@@ -299,7 +306,8 @@ def attempt_facts(attempts: Sequence[Mapping[str, Any]], most: int = FACTS) -> l
 
     Args:
         attempts: The attempts of ``outcome.json``.
-        most: The maximum number of lines.
+        wanted: Labels of intents whose best attempt is told in any case.
+        most: The maximum number of lines, without those of ``wanted``.
     """
 
     def worth(attempt: Mapping[str, Any]) -> tuple[int, int, float]:
@@ -310,7 +318,7 @@ def attempt_facts(attempts: Sequence[Mapping[str, Any]], most: int = FACTS) -> l
     told: dict[tuple[str, str], str] = {}
     for attempt in sorted(attempts, key=worth):
         told.setdefault((attempt["intent"], attempt["planner"]["mode"]), _fact(attempt))
-    return list(told.values())[:most]
+    return [fact for k, ((label, _), fact) in enumerate(told.items()) if k < most or label in wanted]
 
 
 def _fact(attempt: Mapping[str, Any]) -> str:
