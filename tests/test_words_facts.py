@@ -30,8 +30,9 @@ def test_the_best_attempt_of_each_intent_is_told_best_first() -> None:
     ]
     assert len(attempt_facts(tried, most=1)) == 1
     assert attempt_facts(tried, ["Drift"], most=1) == [  # the behaviour that was written for it is told in any case
-        "4 (Brake/side; gap 3): level collision, minimum TTC 0.00 s.", "5 (Drift/side; gap 3): level none, no conflict.",
-    ]  # fmt: skip
+        "4 (Brake/side; gap 3): level collision, minimum TTC 0.00 s.",
+        "5 (Drift/side; gap 3): level none, no conflict.",
+    ]
 
 
 def test_a_fact_says_where_it_was_nearest_and_what_stopped_it() -> None:
