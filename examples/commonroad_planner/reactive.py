@@ -7,6 +7,7 @@ takes the cheapest trajectory that the car can drive and that hits nothing.
 from itertools import pairwise
 
 from commonroad_clcs.config import CLCSParams
+from commonroad_clcs.pycrccosy import CartesianProjectionDomainError
 from commonroad_rp.reactive_planner import ReactivePlanner
 from commonroad_rp.state import ReactivePlannerState
 from commonroad_rp.utility.config import ReactivePlannerConfiguration
@@ -61,5 +62,7 @@ class Reactive(PlannerEgo):
         try:
             found = planner.plan()
         except TypeError:  # version 2025.1 fails in its own log if the ego stands and every sample hits something
+            return None
+        except CartesianProjectionDomainError:  # the ego is beside the reference path, or past its end
             return None
         return None if found is None else centred(found[0].state_list, planner.vehicle_params.wb_rear_axle)

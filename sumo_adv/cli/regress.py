@@ -22,6 +22,7 @@ from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
     from sumo_adv.regression.case import Expectation
+    from sumo_adv.regression.reference import Reference
     from sumo_adv.regression.waivers import Waivers
     from sumo_adv.scenario_names import ScenarioName
 
@@ -85,6 +86,7 @@ def keep(
             folder, new = keep_run(run, suite, answer.expect, name, answer.passed_by)
         if new:
             done.kept[folder] = run
+            done.notes[folder] = _note(run, answer)
         else:
             done.there_already.append(folder)
     _say(done, suite, level, ", or another scenario" if scenario else "", as_json=as_json)
@@ -96,12 +98,14 @@ class _Keeping:
 
     Attributes:
         kept: The run of each new case.
+        notes: What to know of each new case; empty if there is nothing.
         there_already: The cases that were in the suite already.
         left_out: Runs with another level or scenario.
         not_passed: Why no reference driver passes the attack of a run.
     """
 
     kept: dict[Path, Path] = field(default_factory=dict)
+    notes: dict[Path, str] = field(default_factory=dict)
     there_already: list[Path] = field(default_factory=list)
     left_out: list[Path] = field(default_factory=list)
     not_passed: dict[Path, str] = field(default_factory=dict)
@@ -142,6 +146,20 @@ def _expected(avoid: Until | None, min_ttc: float | None, *, no_worse: bool) -> 
     )
 
 
+def _note(run: Path, answer: Reference) -> str:
+    """Say that ``careful`` does not pass a case that is kept, and that the attack found a near-touch only."""
+    from sumo_adv.hunting.failures import NEAR_TOUCH_DELTA_V_M_S
+    from sumo_adv.report.read import read_outcome
+
+    notes = []
+    if answer.why and answer.passed_by:
+        notes.append(f"passed by {', '.join(answer.passed_by)}, and not by careful: {answer.why.rstrip('.')}")
+    delta_v = (read_outcome(run).get("outcome") or {}).get("delta_v")
+    if delta_v is not None and delta_v < NEAR_TOUCH_DELTA_V_M_S:
+        notes.append(f"a near-touch, with a delta-v of {delta_v:.2f} m/s")
+    return f" ({'; '.join(notes)})" if notes else ""
+
+
 def _say(done: _Keeping, suite: Path, level: Until, other: str, *, as_json: bool) -> None:
     """Print what was kept, and why the rest was not."""
     kept, again, left, failed = done.kept, done.there_already, done.left_out, done.not_passed
@@ -150,7 +168,7 @@ def _say(done: _Keeping, suite: Path, level: Until, other: str, *, as_json: bool
         typer.echo(json.dumps({"suite": str(suite)} | {key: [str(p) for p in value] for key, value in names.items()}))
         return
     for folder, run in kept.items():
-        typer.echo(f"Kept {folder} from {run.name}")
+        typer.echo(f"Kept {folder} from {run.name}{done.notes[folder]}")
     for run, why in failed.items():
         typer.echo(f"Left out {run}: no reference driver passes it (careful: {why})")
     more = [f"{len(again)} already there"] if again else []
