@@ -77,7 +77,7 @@ def test_an_error_of_sumo_in_an_observation_is_not_the_drivers() -> None:
 
     with pytest.raises(SumoError, match=r"^SUMO failed while the ego's driver read its observation \(The disk is full"):
         UserEgo("m:Reads", Reads()).act(seen_at(0.0))
-    with pytest.raises(DriverError, match="^The ego 'm:Asks' failed in act at 0.0 s: TraCIException: The disk"):
+    with pytest.raises(DriverError, match=r"^The ego 'm:Asks' failed in act at 0\.0 s: TraCIException: The disk"):
         UserEgo("m:Asks", AsksItself()).act(seen_at(0.0))
 
 
