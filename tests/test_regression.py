@@ -299,7 +299,8 @@ def test_a_path_may_have_a_colon(tmp_path: Path, caches: Path) -> None:
 
 def test_bad_input_is_refused_before_anything_runs(program: Program, suite: Path) -> None:
     cases = {
-        "holds no case": ("regress", "nowhere", "--ego", "idm"),
+        "There is no folder nowhere.": ("regress", "nowhere", "--ego", "idm"),
+        "holds no case": ("regress", ".", "--ego", "idm"),
         "no ego 'idmm'": ("regress", suite, "--ego", "idmm"),
         "not what sumo-adv regress writes": ("regress", suite, "--ego", "idm", "--baseline", "no.json"),
         "is not a folder": ("keep", "nowhere", "--suite", "s"),
