@@ -246,13 +246,18 @@ class Teller:
     """
 
     def __init__(
-        self, finished: Callable[[Teller, Any, Any], None] | None, stopping: Callable[[bool], None] | None = None
+        self,
+        finished: Callable[[Teller, Any, Any], None] | None,
+        stopping: Callable[[bool], None] | None = None,
+        begun: Callable[[], None] | None = None,
     ) -> None:
-        self._finished, self._stopping = finished, stopping
+        self._finished, self._stopping, self._begun = finished, stopping, begun
         self.total = self.done = 0
 
     def begin(self, total: int, before: Sequence[Any]) -> None:
         self.total, self.done = total, len(before)
+        if self._begun is not None:
+            self._begun()
 
     def finished(self, job: Any, row: Any) -> None:
         self.done += 1
@@ -335,6 +340,7 @@ def hunt(
     tell: Callable[[HuntProgress], None] | None = None,
     stopping: Callable[[bool], None] | None = None,
     note: Callable[[str], None] | None = None,
+    begun: Callable[[], None] | None = None,
     **settings: Any,
 ) -> HuntResult:
     """Find the worst distinct failures of a driver within ``minutes``, as ``sumo-adv hunt`` does.
@@ -360,6 +366,7 @@ def hunt(
         stopping: Called when Ctrl-C is pressed, with True if it is pressed again.
         note: Called at the start with a sentence for each part of the inputs that is not kept, such as an option of a
             .sumocfg.
+        begun: Called before the first episode, once the inputs, the ego, the settings and the folder are checked.
         **settings: Settings of every encounter, as for ``sumo_adv.run``. An encounter ends at the level ``until``, by
             default ``serious``, or ``valid`` for the ego careful. If ``until`` is given, only collisions of this level
             or a higher one are failures.
@@ -374,11 +381,15 @@ def hunt(
     """
     from sumo_adv.campaigns.local import Crew
     from sumo_adv.campaigns.plan import make_plan
+    from sumo_adv.drivers.registry import find_class
     from sumo_adv.hunting.failures import table
     from sumo_adv.hunting.hunt import Hunt
 
+    first = [begun] if begun is not None else []
+
     def campaign(plan: CampaignPlan, orders: Orders, finished: Finished) -> Summary:
-        return run_campaign(plan, orders, Teller(lambda _, job, row: finished(row), stopping))
+        watcher = Teller(lambda _, job, row: finished(row), stopping, lambda: first.pop()() if first else None)
+        return run_campaign(plan, orders, watcher)
 
     asked = settings.get("until")
     settings.setdefault("until", "valid" if ego == "careful" else "serious")
@@ -387,6 +398,8 @@ def hunt(
     given |= {} if ego is None else {"egos": [_ego_name(ego)]}
     given |= {} if memory is None else {"memory": str(memory)}
     plan = make_plan(given, Path(), "The hunt", batch_parts(), None if settings_file is None else Path(settings_file))
+    if ego is not None and ray is None and ":" in (name := _ego_name(ego)):
+        find_class("ego", name)
     least = Level.VALID if asked is None else max(Until(asked).level, Level.VALID)
     goal = Goal(least, float(settings.get("min_delta_v") or 0.0))
     if note is not None:

@@ -4,7 +4,8 @@ SumoAdvError                 one sentence: what is wrong and what to do; exit st
 ├── UsageError               wrong use or bad input; exit status 2
 │   └── MissingVehicleError  a named vehicle is not in the simulation
 ├── SimulationError          SUMO failed, or the engine process died
-│   └── DriverError          the ego's driver failed, hung, ended its process or used up an attempt's memory
+│   ├── DriverError          the ego's driver failed, hung, ended its process or used up an attempt's memory
+│   └── SumoError            SUMO failed while the ego's driver read its observation
 ├── SandboxError             planner code failed inside its limits
 │   ├── PlannerSyntaxError   the text does not parse, or is outside the sandbox's subset of Python
 │   ├── PlannerRuntimeError  the planner raised an exception
@@ -54,6 +55,10 @@ class SimulationError(SumoAdvError):
 
 class DriverError(SimulationError):
     """The ego's driver failed, hung, ended its process or used up an attempt's memory. Only that attempt is lost."""
+
+
+class SumoError(SimulationError):
+    """SUMO failed while the ego's driver read its observation. The driver is not to blame."""
 
 
 class SandboxError(SumoAdvError):

@@ -135,7 +135,37 @@ def test_a_failure_and_a_missed_encounter_stay_in_the_denominator(tmp_path: Path
     assert figures(tested)["min TTC, at most 10"][2] == 0.0  # an encounter without an attack has no min TTC of one
     text = to_markdown(done, lambda _: None)
     assert "Failed: 0 of first, 1 of second. Without an attack: 0 of first, 1 of second." in " ".join(text.splitlines())
-    assert "| no encounter |" in text and "| failed |" in text
+    assert "| no encounter |" in text and "| error |" in text
+    assert "A case with an error counts as a failed case, and in the rates of levels as not hit." in text
+    assert "In the rates, an encounter without an attack counts as not hit." in text
+
+
+def test_an_error_fails_a_case(tmp_path: Path) -> None:
+    """First: one of four fails. Second: a and b have errors, so two fail; a passed before, and b failed."""
+    broken = [case(name, broken="It raised.", result="error") for name in "ab"]
+    old = regression(tmp_path / "old", "first", [case("a"), case("b", "valid", 1.0), case("c"), case("d")])
+    new = regression(tmp_path / "new", "second", [*broken, case("c"), case("d")])
+    done = compare(read_side(old), read_side(new))
+    assert figures(done)["case fails"] == (0.25, 0.5, 0.25)
+    assert figures(done)["valid"] == (0.25, 0.0, -0.25)
+    assert [(change.key, change.worse) for change in done.changes] == [("a", True), ("b", True)]
+    assert "| a | pass: none | error |" in to_markdown(done, lambda _: None)
+
+
+def test_what_an_episode_found_before_it_failed_counts(tmp_path: Path) -> None:
+    """Of two episodes, one found a strict collision at its second attempt, and then failed; the other found none."""
+    inputs = ("bend", "merge")
+    calm = campaign(tmp_path / "one", [(name, "idm", ["none"]) for name in inputs])
+    hit = campaign(tmp_path / "two", [("bend", "idm", ["none", "strict"]), ("merge", "idm", ["none"])])
+    for run in (hit / "runs").iterdir():
+        outcome = json.loads((run / "outcome.json").read_text())
+        (run / "outcome.json").write_text(json.dumps({**outcome, "ending": "simulation_failed"}))
+    done = compare(read_side(calm), read_side(hit))
+    assert figures(done)["strict"] == (0.0, 0.5, 0.5) and figures(done)["serious"] == (0.0, 0.0, 0.0)
+    assert [(change.key, change.worse) for change in done.changes] == [("bend seed 0", True)]
+    text = to_markdown(done, lambda _: None)
+    assert "Failed: 0 of one, 2 of two." in text and "| failed, found before: strict, delta-v 2.0 m/s |" in text
+    assert "counts with the level that was found before it failed; if none was found, as not hit." in text
 
 
 def test_the_page_shows_what_a_run_wrote_as_text(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+import libsumo
 import pytest
 from ego_samples import CalmEgo
 
@@ -20,6 +21,7 @@ from sumo_adv.drivers.timing import (
     read_driver_time,
     total_time,
 )
+from sumo_adv.errors import DriverError, SumoError
 
 
 def seen_at(now: float) -> Observation:
@@ -59,6 +61,24 @@ def test_what_the_engine_works_out_for_an_observation_is_not_the_drivers_time() 
     with (watch := Stopwatch()):
         slow()
     assert watch.seconds < 0.04
+
+
+def test_an_error_of_sumo_in_an_observation_is_not_the_drivers() -> None:
+    def ask_sumo() -> None:
+        raise libsumo.TraCIException("The disk is full.")
+
+    class Reads(CalmEgo):
+        def act(self, seen: Observation) -> None:
+            engine_work(ask_sumo)()
+
+    class AsksItself(CalmEgo):
+        def act(self, seen: Observation) -> None:
+            ask_sumo()
+
+    with pytest.raises(SumoError, match=r"^SUMO failed while the ego's driver read its observation \(The disk is full"):
+        UserEgo("m:Reads", Reads()).act(seen_at(0.0))
+    with pytest.raises(DriverError, match=r"^The ego 'm:Asks' failed in act at 0\.0 s: TraCIException: The disk"):
+        UserEgo("m:Asks", AsksItself()).act(seen_at(0.0))
 
 
 def test_a_fork_counts_from_zero_and_is_added_to_its_parent() -> None:

@@ -53,6 +53,19 @@ def test_a_suite_of_them_is_exported_once_it_has_run(hunted: Path, program: Prog
     assert {Path(each["out"]).stem for each in made} == {p.name for p in (program.folder / "ran" / "runs").iterdir()}
 
 
+@pytest.mark.parametrize("given", ["suite", "suite/crossing"])
+def test_of_a_suite_the_message_names_what_to_export(program: Program, given: str) -> None:
+    case = program.folder / "suite" / "crossing"
+    case.mkdir(parents=True)
+    (case / "case.toml").touch()
+    done = program.here("export", given, "--format", "csv")
+    results = f"runs/regress-{Path(given).name}"
+    assert (
+        done.status == 2
+        and f"run sumo-adv regress {given} --ego EGO, and give the results of regress: {results}." in done.err
+    )
+
+
 def test_a_packed_campaign_needs_no_unpacking(program: Program) -> None:
     batch = program.here("batch", "motorway_cut_in_left", *QUICK, "--seeds", "2", "--workers", "1", "--out", "out")
     assert batch.status == 0

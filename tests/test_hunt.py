@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_samples import Program
+from cli_samples import Program, refusal_of
 
 import sumo_adv
 from sumo_adv.campaigns.campaign import Orders, Summary
@@ -235,6 +235,11 @@ def test_where_failures_come_from_gets_more_of_the_rounds(tmp_path: Path) -> Non
     hunted(tmp_path, campaign, 8, plan_of("good", *(f"dull {k}" for k in range(9))))
     later = [inputs for inputs, _ in campaign.rounds][-8:]
     assert sum("good" in inputs for inputs in later) >= 6
+
+
+@pytest.mark.parametrize("wrong", [("motorwy",), ("motorway", "--ego", "nix"), ("motorway", "--ego", "no_module:No")])
+def test_a_wrong_input_is_refused_before_the_hunt_begins(program: Program, wrong: tuple[str, ...]) -> None:
+    assert refusal_of(program, "hunt", *wrong).count(wrong[-1])  # nothing on stdout, one sentence on stderr
 
 
 def test_the_same_hunt_goes_on_and_another_is_refused(tmp_path: Path) -> None:

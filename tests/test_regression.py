@@ -288,9 +288,19 @@ def test_a_damaged_case_is_one_sentence_with_its_file(tmp_path: Path, old: str, 
         read_suite(suite)
 
 
+def test_a_path_may_have_a_colon(tmp_path: Path, caches: Path) -> None:
+    """SUMO would read the path of a state file as HOST:PORT. The temporary folder is below the path, too."""
+    program = Program(tmp_path / "host:port", caches)
+    done = program.here("regress", suite_in(program.folder), "--ego", "blind", "--out", "x:ne", "--workers", "1")
+    assert (done.status, done.err) == (3, "")
+    (case,) = results(program.folder / "x:ne")
+    assert (case["result"], case["broken"]) == ("fail", "")  # a driver that sees nobody is hit
+
+
 def test_bad_input_is_refused_before_anything_runs(program: Program, suite: Path) -> None:
     cases = {
-        "holds no case": ("regress", "nowhere", "--ego", "idm"),
+        "There is no folder nowhere.": ("regress", "nowhere", "--ego", "idm"),
+        "holds no case": ("regress", ".", "--ego", "idm"),
         "no ego 'idmm'": ("regress", suite, "--ego", "idmm"),
         "not what sumo-adv regress writes": ("regress", suite, "--ego", "idm", "--baseline", "no.json"),
         "is not a folder": ("keep", "nowhere", "--suite", "s"),

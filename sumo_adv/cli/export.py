@@ -23,7 +23,8 @@ EXAMPLE = "Example: sumo-adv export runs/priority_crossing-3 --format openscenar
 
 def export(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of a run, or of many: a hunt, a regression suite, a campaign.")
+        Path,
+        typer.Argument(metavar="DIR", help="Folder of a run, or of many: a hunt, a campaign, the results of regress."),
     ],
     format: Annotated[Format, typer.Option(help="Format to write; all: every format whose packages are installed.")],
     out: Annotated[
@@ -50,12 +51,18 @@ def export(
     if variant is not Variant.REPLAY and format is not Format.OPENSCENARIO:
         raise UsageError("Only --format openscenario has a --variant.")
     from sumo_adv.campaigns.store import packed_rows
+    from sumo_adv.regression.case import CASE_FILE
     from sumo_adv.report.export.formats import FORMATS, chosen, left_out, runs_in, write_export
     from sumo_adv.report.export.piece import read_piece
     from sumo_adv.report.read import reading
 
     runs, packed, formats = runs_in(folder), packed_rows(folder), chosen(format)
     if not runs and not packed:
+        if (folder / CASE_FILE).is_file() or any(folder.glob(f"*/{CASE_FILE}")):
+            raise UsageError(
+                f"{folder} holds kept cases, which have no states to export; run sumo-adv regress {folder} --ego EGO, "
+                f"and give the results of regress: runs/regress-{folder.resolve().name}."
+            )
         raise UsageError(
             f"{folder} holds no runs; give the folder of a run, a hunt, a campaign, or the results of regress."
         )

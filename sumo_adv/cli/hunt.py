@@ -117,14 +117,18 @@ def hunt(
     from sumo_adv.api_batch import hunt as hunted
 
     quiet = output.as_json
-    if not quiet:
+    lines = _Lines()
+
+    def begun() -> None:
         typer.echo(f"Hunting for {attack.minutes:g} min; a line follows as episodes end.")
-    lines = _Lines(quiet=quiet)
+        lines.begin()
+
     try:
         found = hunted(
             given, ego=ego, minutes=attack.minutes, distinct=attack.distinct, out=output.out or Path("runs") / "hunt",
             **asdict(search), **asdict(running), settings_file=settings_file, pages=not output.no_pages,
             tell=None if quiet else lines.tell, stopping=_stopping, note=None if quiet else typer.echo,
+            begun=None if quiet else begun,
             **named_settings(attack),
         )  # fmt: skip
     finally:
@@ -156,11 +160,12 @@ def _stopping(now: bool) -> None:
 class _Lines:
     """Prints the progress of a hunt. The first line comes after ``FIRST_LINE_S`` even if no encounter has ended."""
 
-    def __init__(self, *, quiet: bool) -> None:
+    def __init__(self) -> None:
         self._timer = threading.Timer(FIRST_LINE_S, self._nothing_yet)
         self._timer.daemon = True
-        if not quiet:
-            self._timer.start()
+
+    def begin(self) -> None:
+        self._timer.start()
 
     def _nothing_yet(self) -> None:
         typer.echo(f"After {FIRST_LINE_S:g} s the first episodes are still running.")

@@ -31,6 +31,8 @@ from sumo_adv.report.staging import PLAN_FILE, RESULTS_FILE
 
 DEFAULT_ATTEMPTS = int(Settings.model_fields["attempts"].default)
 COMPARISON_SCHEMA = 1
+CASE_BADNESS = {str(CaseResult.FAIL): 1000.0, str(CaseResult.ERROR): 2000.0}
+"""How much worse the results of a failed case are than any level; no other result fails a case."""
 MIN_PAIRS = 6  # with fewer pairs, no paired test reaches p 0.05 (2 / 2**5 = 0.06), and a bootstrap is meaningless
 
 
@@ -41,7 +43,7 @@ class Compared:
     Attributes:
         key: The key that pairs it with an episode of the other side.
         ego: The ego's driver.
-        level: The level of the attempt that counts.
+        level: The level of the attempt that counts; of failed work, the level that was found before it failed.
         min_ttc: The minimum TTC [s]: at most 10, which is also the value for *never*, and 0 with a collision.
         delta_v: The ego's delta-v [m/s]; 0 without a collision that counts.
         severity: The severity of the collision; None without one.
@@ -181,8 +183,7 @@ def _ego(outcome: Mapping[str, Any]) -> str:
 
 def _of_outcome(key: str, outcome: Mapping[str, Any], run: Path | None) -> Compared:
     failed = outcome.get("ending") in CELL_FAILURES
-    verdict = {} if failed else outcome.get("outcome") or {}
-    attempts = () if failed else outcome.get("attempts") or ()
+    verdict, attempts = outcome.get("outcome") or {}, outcome.get("attempts") or ()
     level = level_named(verdict.get("level"))
     return Compared(
         key, _ego(outcome), level, capped_ttc(verdict),
@@ -349,16 +350,17 @@ def _names(first: ComparedSide, second: ComparedSide) -> tuple[str, str]:
 
 
 def _badness(e: Compared) -> float:
-    """Rate how bad an episode is: by level, then by the ego's delta-v; a failed case counts most."""
-    return 100.0 * e.level + e.delta_v + (1000.0 if e.result == CaseResult.FAIL else 0.0)
+    """Rate how bad an episode is: by level, then by the ego's delta-v; above these, failed cases, and then errors."""
+    return 100.0 * e.level + e.delta_v + CASE_BADNESS.get(str(e.result), 0.0)
 
 
 def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[ComparedFigure]:
     """Compute the figures.
 
-    Rates are over all pairs, and an encounter without an attack counts as not hit. Such an encounter has neither a
-    minimum TTC nor a delta-v of an attack. So means are over the pairs in which both or neither were attacked, and
-    neither failed.
+    Rates are over all pairs. An encounter without an attack counts as not hit, failed work counts with the level that
+    was found before it failed, and an error of a case counts as a failed case. An encounter without an attack has
+    neither a minimum TTC nor a delta-v of an attack. So means are over the pairs in which both or neither were
+    attacked, and neither failed.
     """
     alike = [(a, b) for a, b in pairs if a.attacked == b.attacked and not (a.failed or b.failed)]
 
@@ -371,7 +373,7 @@ def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Co
 
     figures = []
     if all(a.result and b.result for a, b in pairs):
-        figures.append(figure("case fails", "rate", lambda e: e.result == CaseResult.FAIL))
+        figures.append(figure("case fails", "rate", lambda e: e.result in CASE_BADNESS))
     for level in (Level.COLLISION, Level.VALID, Level.STRICT, Level.SERIOUS):
         figures.append(figure(str(level), "rate", lambda e, least=level: e.level >= least))  # type: ignore[misc]
     if not alike:
@@ -386,5 +388,6 @@ def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Co
 def _as_data(e: Compared) -> dict[str, Any]:
     return {
         "ego": e.ego, "level": str(e.level), "result": e.result, "delta_v": e.delta_v, "min_ttc": e.min_ttc,
-        "severity": e.severity, "until_valid": e.until_valid, "run": None if e.run is None else str(e.run),
+        "severity": e.severity, "failed": e.failed, "until_valid": e.until_valid,
+        "run": None if e.run is None else str(e.run),
     }  # fmt: skip

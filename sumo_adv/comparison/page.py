@@ -14,9 +14,11 @@ from pathlib import Path
 
 from sumo_adv.benchmark.table import grid, number, signed
 from sumo_adv.comparison.compare import MIN_PAIRS, Compared, ComparedFigure, Comparison
+from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text, sentences, write_text
 from sumo_adv.metrics.statistics import Estimate
+from sumo_adv.regression.runner import CaseResult
 from sumo_adv.report.document import write_document
 from sumo_adv.report.page import page_of
 from sumo_adv.report.staging import staged
@@ -92,20 +94,30 @@ def notes(done: Comparison) -> list[str]:
     for label, (a, b) in (("only on one side", done.alone), ("failed", failed), ("without an attack", missed)):
         if a or b:
             sentences.append(f"{label[0].upper()}{label[1:]}: {a} of {done.names[0]}, {b} of {done.names[1]}.")
+    errors = done.counts(lambda e: e.result == CaseResult.ERROR)
+    if any(errors):
+        sentences.append("A case with an error counts as a failed case, and in the rates of levels as not hit.")
+    if sum(failed) > sum(errors):
+        sentences.append(
+            "In the rates, a failed episode counts with the level that was found before it failed; if none was found, "
+            "as not hit."
+        )
+    if any(missed):
+        sentences.append("In the rates, an encounter without an attack counts as not hit.")
     if any(failed) or any(missed):
-        sentences.append("In the rates, these count as not hit.")
         sentences.append("Means leave out encounters that failed, or in which only one side was attacked.")
     return sentences
 
 
 def words(e: Compared) -> str:
     """Describe an episode in words."""
-    if e.failed:
-        return "failed"
+    if e.failed and (e.result or e.level == Level.NONE):
+        return e.result or "failed"
     if not e.attacked:
         return e.result or "no encounter"
     hit = f", delta-v {e.delta_v:.1f} m/s" if e.delta_v else ""
-    return f"{e.result + ': ' if e.result else ''}{e.level}{hit}"
+    result = "failed, found before" if e.failed else e.result
+    return f"{f'{result}: ' if result else ''}{e.level}{hit}"
 
 
 def _row(figure: ComparedFigure) -> list[str]:

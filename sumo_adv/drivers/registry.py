@@ -49,7 +49,7 @@ from sumo_adv.drivers.protocol import (
     read_wishes,
 )
 from sumo_adv.drivers.sumo_driven import FOLLOWING_MODELS, DriverType, ReplayEgo, SumoEgo, sumo_type
-from sumo_adv.errors import DriverError, SimulationError, UsageError, nearest, ran_out_of_memory
+from sumo_adv.errors import DriverError, SimulationError, SumoError, UsageError, nearest, ran_out_of_memory
 from sumo_adv.simulation.watch import OutOfTimeError
 
 T = TypeVar("T")
@@ -98,6 +98,7 @@ class UserEgo:
 
         Raises:
             DriverError: The user's code fails, or returns something other than a valid action.
+            SumoError: SUMO fails while the driver reads the observation.
         """
         at = f"at {observation.time:.1f} s"
         action = self._call(f"failed in act at {observation.time:.1f} s", lambda: self._driver.act(observation))
@@ -144,7 +145,7 @@ class UserEgo:
     def _call(self, failure: str, call: Callable[[], T]) -> T:
         try:
             return call()
-        except (OutOfTimeError, SystemExit):
+        except (OutOfTimeError, SystemExit, SumoError):
             raise
         except BaseException as error:  # user code, which may raise anything; Ctrl-C does not reach this process
             if ran_out_of_memory(error):

@@ -16,6 +16,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from sumo_adv.drivers.protocol import Action, EgoController, Observation
 from sumo_adv.drivers.wrapped import WrappedEgo
+from sumo_adv.errors import SumoError
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -114,12 +115,16 @@ def bin_of(seconds: float) -> int:
     return 0 if edges <= 1.0 else math.ceil(BINS_PER_DOUBLING * math.log2(edges))
 
 
+SUMO_MODULES = ("libsumo", "traci")  # they define the errors that SUMO raises
 _engine_seconds = [0.0]  # time that this process has spent on observations while a driver read them
 _at_work = [False]
 
 
 def engine_work(function: Callable[P, T]) -> Callable[P, T]:
-    """Mark a function that computes a part of an observation: its time is the engine's."""
+    """Mark a function that computes a part of an observation: its time and SUMO's errors are the engine's.
+
+    The marked function raises ``SumoError`` if SUMO fails in it.
+    """
 
     @wraps(function)
     def timed(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -128,6 +133,10 @@ def engine_work(function: Callable[P, T]) -> Callable[P, T]:
         _at_work[0], began = True, time.perf_counter()
         try:
             return function(*args, **kwargs)
+        except Exception as error:
+            if type(error).__module__.partition(".")[0] in SUMO_MODULES:
+                raise SumoError(f"SUMO failed while the ego's driver read its observation ({error}).") from error
+            raise
         finally:
             _engine_seconds[0] += time.perf_counter() - began
             _at_work[0] = False

@@ -163,8 +163,10 @@ def read_suite(folder: Path) -> list[KeptCase]:
         folder: The folder of a suite, or of a single case.
 
     Raises:
-        UsageError: There are no cases, one of them is damaged, or one lies in another.
+        UsageError: There is no such folder, there are no cases, one of them is damaged, or one lies in another.
     """
+    if not folder.exists():
+        raise UsageError(f"There is no folder {folder}.")
     refuse_links(folder)
     files = sorted(folder.glob(f"*/{CASE_FILE}")) if folder.is_dir() else []
     if (folder / CASE_FILE).is_file():

@@ -8,7 +8,7 @@ OUT/runs/CASE/      the run of each case that reached its encounter
 from __future__ import annotations
 
 import re
-import shutil
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +23,7 @@ from sumo_adv.campaigns.local import LocalWorkers, Stop, WorkerPace
 from sumo_adv.campaigns.results import Done, Row, read_row, write_csv
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
-from sumo_adv.files import is_plain_name, json_text, sentences, write_text
+from sumo_adv.files import is_plain_name, json_text, scratch_prefix, sentences, write_text
 from sumo_adv.parsing import dotted, read_json
 from sumo_adv.regression.case import KeptCase
 from sumo_adv.regression.runner import (
@@ -180,17 +180,17 @@ def measure_cases(
     def failed(job: Any, why: str, text: str) -> Done:
         return Done(job.id, asdict(CaseMeasurements(job.id, ego, broken=why)), text=text)
 
-    scratch = runs.parent / ".workers"
     runs.mkdir()
-    scratch.mkdir()
     jobs = [CaseJob(case.name, case.folder.absolute()) for case in cases]
     setup, pace = (
         SuiteSetup(runs.absolute(), ego, attempts),
         WorkerPace(workers, CASE_DEADLINE_S * max(1, attempts // 4), CASES_PER_WORKER),
     )
-    with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
+    with (
+        tempfile.TemporaryDirectory(prefix=scratch_prefix(), ignore_cleanup_errors=True) as scratch,
+        closing(LocalWorkers(setup, pace, Path(scratch), failed, Stop(), CaseRunner)) as pool,
+    ):
         pool.run(jobs, finished)
-    shutil.rmtree(scratch, ignore_errors=True)
 
 
 def read_results(path: Path) -> dict[str, Any]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
+
+OTHER_FOLDERS = ("/tmp", "/var/tmp", "/dev/shm")  # for temporary files if the usual folder cannot be used
 
 
 class ArrivalPlace(NamedTuple):
@@ -32,13 +35,24 @@ def arrival_attributes(api: Any, vehicle: str) -> Mapping[str, str]:
     Returns:
         The attributes; empty if the state does not contain the vehicle.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(dir=_place()) as folder:
         file = Path(folder) / "state.xml"
         api.simulation.saveState(str(file))
         for _, element in ElementTree.iterparse(file):
             if element.tag == "vehicle" and element.get("id") == vehicle:
                 return dict(element.attrib)
     return {}
+
+
+def _place() -> str | None:
+    """Return the folder to write in: None for the usual one, unless SUMO would read its path as HOST:PORT.
+
+    SUMO opens a socket instead of a file if the path has a colon that does not follow a drive letter.
+    """
+    usual, *others = (tempfile.gettempdir(), *OTHER_FOLDERS)
+    if ":" not in usual[2:]:
+        return None
+    return next((folder for folder in others if os.access(folder, os.W_OK)), None)
 
 
 def arrival(attributes: Mapping[str, str], route: Sequence[str], api: Any) -> ArrivalPlace:

@@ -134,7 +134,7 @@ def runs_in(folder: Path) -> list[Path]:
     """Find the runs to export.
 
     Args:
-        folder: The folder of a run, a hunt, a regression suite or a campaign.
+        folder: The folder of a run, a hunt or a campaign, or the results of regress.
 
     Returns:
         The folders of the runs. ``folder`` itself if it is a run's folder or no folder at all.
