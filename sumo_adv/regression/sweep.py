@@ -166,8 +166,9 @@ class SweepRunner(WarmProcesses):
         forget_environment()
 
     def measure(
-        self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]]
-    ) -> list[Point]:
+        self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]],
+        tell: Callable[[], None] = lambda: None,
+    ) -> list[Point]:  # fmt: skip
         """Return the result at each point, in order.
 
         Points with the same scenario and start are attempts of one encounter.
@@ -177,6 +178,7 @@ class SweepRunner(WarmProcesses):
             ego: The driver under test.
             expect: What is expected of the ego.
             numbers: The numbers of each point.
+            tell: Called as each point ends.
 
         Raises:
             SumoAdvError: The driver or the simulation failed.
@@ -189,12 +191,14 @@ class SweepRunner(WarmProcesses):
 
         for _, group in groupby(sorted(range(len(numbers)), key=encounter), key=encounter):
             some = list(group)
-            points |= dict(zip(some, self._encounter(case, ego, expect, [numbers[k] for k in some]), strict=True))
+            came = self._encounter(case, ego, expect, [numbers[k] for k in some], tell)
+            points |= dict(zip(some, came, strict=True))
         return [points[k] for k in range(len(numbers))]
 
     def _encounter(
-        self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]]
-    ) -> list[Point]:
+        self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]],
+        tell: Callable[[], None],
+    ) -> list[Point]:  # fmt: skip
         """Return the results at points with the same scenario and start."""
         cases = [at_numbers(case, each) for each in numbers]
         settings = settings_for(cases[0], ego)
@@ -202,6 +206,8 @@ class SweepRunner(WarmProcesses):
             task = task_for(cases[0], settings, Path(scratch))
             record = EncounterFinder(cases[0].run_input, settings, task, engine, lambda *_: None).seek()
             if record is None or elsewhere(cases[0], record.found):
+                for _ in cases:
+                    tell()
                 return [Point(PointResult.NO_ENCOUNTER)] * len(cases)
             runner = runner_of(engine, self._sandboxes.of(settings), record.found, settings)
             points = []
@@ -219,6 +225,7 @@ class SweepRunner(WarmProcesses):
                         verdict.delta_v if verdict.collided else None,
                     )
                 )  # fmt: skip
+                tell()
             return points
 
 
