@@ -49,7 +49,7 @@ def sweep(
     The border of the reference driver cc_human (the driver careful) is in the picture. Of a scenario, an attack that
     hits the first driver is looked for first.
     """
-    from sumo_adv.regression.sweep import REFERENCE, Sweep, axis_of
+    from sumo_adv.regression.sweep import REFERENCE, Sweep, axis_of, numbers_of
 
     drivers = words(ego)
     drivers += [REFERENCE] if REFERENCE not in drivers and not no_reference else []
@@ -64,7 +64,7 @@ def sweep(
         raise UsageError(f"{target} holds a sweep already; give another --out, or --force to replace it.")
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         case = _case(given, drivers[0], Path(scratch), quiet=as_json)
-        axes = tuple(axis_of(case, each) for each in over)
+        axes, names = tuple(axis_of(case, each) for each in over), numbers_of(case)
         if len({axis.name for axis in axes}) < len(axes):
             raise UsageError(f"--over names '{axes[0].name}' twice; give two numbers.")
         found = {driver: _swept(case, axes, driver, avoid, points, whole=grid, quiet=as_json) for driver in drivers}
@@ -75,14 +75,7 @@ def sweep(
     if as_json:
         typer.echo(json.dumps({**document, "folder": str(target)}))
         return
-    for driver, each in document["drivers"].items():
-        counts = ", ".join(f"{each[word]} {word}" for word in ("pass", "fail", "invalid", "no encounter"))
-        typer.echo(f"{driver}: {counts}; {each['measured']} of {len(done.drivers[driver])} points were measured.")
-        if len(axes) == 1:
-            places = ", ".join(f"{place[axes[0].name]:g}" for place in each["border"])
-            typer.echo(
-                f"  border at {axes[0].name} = {places} {axes[0].unit}" if places else "  no border in the range"
-            )
+    typer.echo("\n".join(done.lines(names)))
     typer.echo(f"Picture: {target / 'sweep.png'}\nFiles: {target}")
 
 
