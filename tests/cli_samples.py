@@ -6,6 +6,7 @@ import csv
 import gzip
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -280,3 +281,8 @@ def bank_with(path: Path, source: str) -> Path:
     with MemoryBank.open(path) as bank:
         bank.add(intent, [make_planner(intent.label, "odd", source, "person")])
     return path
+
+
+def without_progress(err: str) -> str:
+    """Return what a program wrote to stderr, without the lines of progress that come if it takes over 20 s."""
+    return re.sub(r"^\d+ of (at most )?\d+ .*done.*\n", "", err, flags=re.MULTILINE)

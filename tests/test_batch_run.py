@@ -14,7 +14,20 @@ from typing import Any
 
 import pytest
 from batch_samples import CRASHED, INPUTS, QUICK, RUN, SETTINGS_FILE, SMALL, clean, summary, table, workers_of
-from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, refused, tiny_disk, untimed
+from cli_samples import (
+    PATIENCE,
+    ROOT,
+    TRAIL,
+    Done,
+    Program,
+    bank_with,
+    files_of,
+    lacking,
+    refused,
+    tiny_disk,
+    untimed,
+    without_progress,
+)
 from test_cli_bad_input import powerless, shelf  # noqa: F401 - a fixture
 from test_interrupt import alive, children_of, wait_until
 
@@ -55,7 +68,7 @@ def again(program: Program, whole: tuple[Program, Done]) -> Path:
 
 def test_a_batch_leaves_whole_folders_and_a_table_in_the_plans_order(whole: tuple[Program, Done]) -> None:
     program, done = whole
-    assert (done.status, done.err) == (0, "")  # no bar, nothing but the summary: this is a pipe
+    assert (done.status, without_progress(done.err)) == (0, "")  # no bar, nothing but the summary: this is a pipe
     assert done.out.startswith("4 of 4 episodes: ") and done.out.splitlines()[-1] == "Files: out/results.csv"
     assert "kB per episode" in done.out
     rows = table(done.folder)
@@ -173,7 +186,7 @@ def test_broken_members_fail_by_name_and_the_rest_completes(broken: tuple[Progra
     rows = table(done.folder)
     calm, crashing, once, none = rows[:4]
     failed = [crashing, none, *rows[4:]]
-    assert len(rows) == 12 and len(done.err.splitlines()) == len(failed)  # a sentence for each
+    assert len(rows) == 12 and len(without_progress(done.err).splitlines()) == len(failed)  # a sentence for each
     assert all(r["failure"] and r["ending"] == "simulation_failed" for r in failed)
     assert calm["failure"] == once["failure"] == "" and calm["ending"] in ("critical", "attempts_exhausted")
     assert (

@@ -50,6 +50,7 @@ def test_a_sentence_says_share_calls_mean_and_quantile() -> None:
     took = DriverTime(3120, 40.56, {80: 3000, 104: 120})
     words = "Your driver took 40.6 s of 60.0 s: 3,120 calls, mean 13 ms, 99 % within 82 ms."
     assert took.words(60.0) == words
+    assert took.words(30.0).startswith("Your driver took 40.6 s of 30.0 s (in several processes at once): 3,120 calls")
     assert read_driver_time(took.as_data()) == took and read_driver_time(None) is None
 
 

@@ -17,7 +17,9 @@ from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.local import WorkerPace
 from sumo_adv.campaigns.plan import CampaignPlan
 from sumo_adv.campaigns.results import Input, Learn
+from sumo_adv.cli.hunt import never_met_words, progress_line
 from sumo_adv.datatypes import Level
+from sumo_adv.drivers.timing import DriverTime
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.goal import Goal
 from sumo_adv.hunting.failures import distinct, failure_of, table
@@ -341,3 +343,22 @@ def test_the_result_of_a_hunt_is_a_table() -> None:
     result = HuntResult(Found(Path(), [], 0, 0, 0.0, "time", discovery([])), [], None)
     assert list(result.table)[:3] == ["rank", "level", "intent"]
     assert sumo_adv.hunt.__module__ == "sumo_adv.api_batch"
+
+
+def test_a_line_says_that_a_near_touch_is_not_counted() -> None:
+    """Its delta-v of 0.1 m/s is below 1 mph."""
+    lines = []
+    for delta_v in (0.1, 5.0):
+        (newest,) = found = distinct(f for f in [failure_of(row(level="strict", delta_v=delta_v), Path())] if f)
+        lines.append(
+            progress_line(HuntProgress(60.0, 1, 1, 0.5, found, newest, 0, discovery([set()]), DriverTime(), 1.0))
+        )
+    assert "1 episode, 1 attempt (" in lines[0] and "Newest (a near-touch, not counted): strict: " in lines[0]
+    assert ": 0 serious, 0 strict, 0 valid;" in lines[0]
+    assert "Newest: strict: " in lines[1] and ": 0 serious, 1 strict, 1 valid;" in lines[1]
+
+
+def test_at_most_eight_scenarios_that_were_never_met_are_named() -> None:
+    names = [f"s{k}" for k in range(10)]
+    assert never_met_words(names) == "s0; s1; s2; s3; s4; s5; s6; s7 and 2 more (scenarios.csv)"
+    assert never_met_words(names[:8]).endswith("; s7") and never_met_words([]) == "none"

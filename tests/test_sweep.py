@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cli_samples import Program
 
-from sumo_adv.regression.sweep import Axis, Index, Point, PointResult, Sweep, border, swept
+from sumo_adv.regression.sweep import Axis, Index, Point, PointResult, Sweep, border, changes_nothing, swept
 from sumo_adv.report.figures import save
 from sumo_adv.report.sweep_figure import draw_sweep
 
@@ -58,6 +58,36 @@ def test_the_document_has_the_border_in_numbers() -> None:
         "driver": "idm", "gap": 5.0, "result": "fail", "level": "none", "min_ttc": None, "delta_v": None,
         "measured": True,
     }  # fmt: skip
+
+
+def test_the_lines_say_the_share_of_passes_and_the_border() -> None:
+    """With two numbers of 5 points each, the sum of the indices is below 3 at 6 of 25 points.
+
+    Its border is half a step from the points (0, 2) and (2, 0), so at most 2.5 steps of 1 m along each axis.
+    """
+    gap, slower = Axis("gap", 5.0, 9.0, "m"), Axis("slower", 0.0, 4.0, "m/s")
+    one = Sweep("cut", (gap,), 5, {"idm": swept(Driver(3), 1, 5)})
+    assert one.lines(["gap"]) == [
+        "idm: 2 pass, 3 fail, 0 invalid, 0 no encounter (40 % pass); 5 of 5 points were measured.",
+        "  border at gap = 7.5 m",
+    ]
+    two = Sweep("cut", (gap, slower), 5, {"idm": swept(Driver(3), 2, 5)})
+    first, second = two.lines(["gap", "slower"])
+    assert "(76 % pass); 25 of 25" in first
+    assert second == "  border at gap from 5 to 7.5 m, slower from 0 to 2.5 m/s"
+
+
+def test_a_number_that_changes_nothing_for_a_driver_is_named_with_the_others() -> None:
+    """The second driver's min TTC differs in the fifth digit, so the number changes something."""
+    same = Point(PointResult.FAIL, min_ttc=1.0192, delta_v=1.8161)
+    drivers = {
+        "mine": {(k,): same for k in range(3)},
+        "idm": {(k,): Point(PointResult.FAIL, min_ttc=1.0192 + k * 1e-5, delta_v=1.8161) for k in range(3)},
+    }
+    lines = Sweep("cut", (Axis("ahead", 12.0, 50.0, "m"),), 3, drivers).lines(["ahead", "slower", "delay"])
+    assert lines[1] == "  ahead changes nothing for mine; the case also has slower, delay"
+    assert lines[3] == "  no border in the range"
+    assert not changes_nothing({(k,): Point(PointResult.NO_ENCOUNTER) for k in range(3)})
 
 
 @pytest.mark.parametrize("axes", [1, 2])

@@ -243,14 +243,12 @@ class CheckProgress:
         self._left -= 1
         if self._first and self._left:
             self._first = False
+            from sumo_adv.cli.progress import span
+
             each = time.monotonic() - self._began
             typer.echo(
-                f"The first took {each:.0f} s; the other {self._left} will take about {_span(self._left * each)}."
+                f"The first took {each:.0f} s; the other {self._left} will take about {span(self._left * each)}."
             )
-
-
-def _span(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def _tell(checked: Checked) -> None:

@@ -27,6 +27,7 @@ SCREEN_COLUMNS: dict[str, Literal["left", "right"]] = {
 }  # fmt: skip
 SCENARIO_NAME_WIDTH = 54  # characters of a scenario's name on the screen
 FIRST_LINE_S = 20.0  # after which a line says that the first encounter is still attacked
+MAX_NEVER_MET_SHOWN = 8  # names of scenarios of a list that were never met
 PARTS_SHOWN = 4  # parts of a hunt's time that are named
 RULE_BREAKERS = ("adversary", "ego", "both")
 DIFFERING_COLUMNS = ("intent", "speed_band", "cause", "seed", "adversary")
@@ -172,23 +173,38 @@ class _Lines:
 
     def tell(self, progress: HuntProgress) -> None:
         self.end()
-        _tell(progress)
+        typer.echo(progress_line(progress))
+        if progress.driver_time.calls:
+            typer.echo(f"          {progress.driver_time.words(progress.episode_seconds)}")
 
     def end(self) -> None:
         self._timer.cancel()
 
 
-def _tell(progress: HuntProgress) -> None:
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun.
+
+    Args:
+        number: The number.
+        noun: The noun in the singular.
+    """
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def progress_line(progress: HuntProgress) -> str:
+    """Return the line that says how far a hunt is."""
     levels = ", ".join(f"{progress.count(level)} {level}" for level in (Level.SERIOUS, Level.STRICT, Level.VALID))
-    newest = f" Newest: {progress.newest.words}." if progress.newest is not None else ""
+    newest = ""
+    if progress.newest is not None:
+        touch = " (a near-touch, not counted)" if progress.newest.near_touch else ""
+        newest = f" Newest{touch}: {progress.newest.words}."
     lost = f", {progress.lost} lost" if progress.lost else ""
-    typer.echo(
-        f"{progress.seconds_left / 60:5.1f} min left: {progress.episodes} episodes, {progress.attempts} attempts "
-        f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (this level or worse): {levels}; "
+    return (
+        f"{progress.seconds_left / 60:5.1f} min left: {counted(progress.episodes, 'episode')}, "
+        f"{counted(progress.attempts, 'attempt')} ({progress.attempts_per_second:.2g} a second{lost}), "
+        f"distinct failures (this level or worse): {levels}; "
         f"{progress.left.words}.{newest}"
     )
-    if progress.driver_time.calls:
-        typer.echo(f"          {progress.driver_time.words(progress.episode_seconds)}")
 
 
 def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
@@ -219,8 +235,9 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     more = f" The table shows the first {MAX_FAILURES_SHOWN}." if len(failures) > MAX_FAILURES_SHOWN else ""
     near = f" and {len(touches)} near-touch{'es' * (len(touches) > 1)}" if touches else ""
     typer.echo(
-        f"{ends[found.ended]}: {len(failures)} distinct failure{'s' * (len(failures) != 1)}{near} in "
-        f"{found.episodes} episodes, {found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
+        f"{ends[found.ended]}: {counted(len(failures), 'distinct failure')}{near} in "
+        f"{counted(found.episodes, 'episode')}, {counted(found.attempts, 'attempt')}, "
+        f"{found.seconds / 60:.1f} min.{more}"
     )
     typer.echo(f"Estimate of what is left: {found.left.words}.")
     if found.driver_time.calls:
@@ -263,7 +280,18 @@ def _show_scenarios(found: Found) -> None:
         typer.echo(f"{name:{SCENARIO_NAME_WIDTH}}  {row.encounters:4}  {row.attempts:5}  {reached}")
     for name in LISTS:
         names = never_met(found.scenarios, name)
-        typer.echo(f"{name}, never met ({len(names)}): {'; '.join(names) or 'none'}")
+        typer.echo(f"{name}, never met ({len(names)}): {never_met_words(names)}")
+
+
+def never_met_words(names: Sequence[str]) -> str:
+    """Return the first names of scenarios that were never met, and how many more there are.
+
+    Args:
+        names: The names.
+    """
+    more = len(names) - MAX_NEVER_MET_SHOWN
+    rest = f" and {more} more (scenarios.csv)" if more > 0 else ""
+    return f"{'; '.join(names[:MAX_NEVER_MET_SHOWN]) or 'none'}{rest}"
 
 
 def _what(row: Mapping[str, Any]) -> str:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 import os
 import sys
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -26,7 +27,91 @@ from sumo_adv.words.fit import held
 if TYPE_CHECKING:
     from sumo_adv.benchmark import jobs as bench
 
-PROGRESS_PERIOD_S = 30.0  # between lines of progress without a terminal
+PROGRESS_PERIOD_S = 20.0  # least time between lines of progress without a terminal
+
+
+def span(seconds: float) -> str:
+    """Return a duration in words.
+
+    Args:
+        seconds: The duration [s].
+    """
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
+class PacedLines:
+    """Prints lines of progress on stderr, for a command without a terminal.
+
+    A line comes ``PROGRESS_PERIOD_S`` after the beginning, and then as an item ends, at most one in that time. Each
+    line is flushed.
+    """
+
+    def __init__(
+        self, what: str, *, at_most: bool = False, clock: Callable[[], float] = time.monotonic,
+        first_s: float = PROGRESS_PERIOD_S,
+    ) -> None:  # fmt: skip
+        """Start without a line.
+
+        Args:
+            what: What is counted, in the plural.
+            at_most: Whether fewer may be needed than the number of all. Then no line estimates the time left.
+            clock: Returns the time [s].
+            first_s: The time from ``begin`` to the first line [s].
+        """
+        self._what, self._at_most, self._clock, self._first = what, at_most, clock, first_s
+        self._said = self._began = clock()
+        self._phase, self._before = "", 0
+        self._newest = (0, 0, "", "")
+        self._timer: threading.Timer | None = None
+
+    def begin(self, of: int, before: int = 0) -> None:
+        """Begin to count. The first line comes even if nothing ends until then.
+
+        Args:
+            of: The number of all.
+            before: The number that an earlier call has done.
+        """
+        self._before, self._newest = before, (before, of, "", "")
+        if of > before:
+            self._timer = threading.Timer(self._first, self._say)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def tell(self, done: int, of: int, phase: str = "", note: str = "") -> None:
+        """Print how many are done and how long the others will take, unless the last line is too recent.
+
+        Args:
+            done: The number that is done.
+            of: The number of all.
+            phase: A text in front. The time left is estimated from its first call.
+            note: A text at the end.
+        """
+        now = self._clock()
+        if phase != self._phase:
+            self._phase, self._before, self._began = phase, done, now
+        self._newest = (done, of, phase, note)
+        if now - self._said >= PROGRESS_PERIOD_S:
+            self.close()
+            self._say()
+
+    def close(self) -> None:
+        """Print no line later."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _say(self) -> None:
+        """Print a line about the newest state."""
+        done, of, phase, note = self._newest
+        now = self._said = self._clock()
+        ran = done - self._before
+        each = (now - self._began) / ran if ran > 0 else 0.0
+        left = f", about {span((of - done) * each)} left" if ran > 0 and of > done and not self._at_most else ""
+        noun, of_what, rest = self._what.partition(" ")
+        noun = noun.removesuffix("s") if of == 1 else noun
+        most = "at most " if self._at_most else ""
+        typer.echo(
+            f"{phase}{done} of {most}{of} {noun}{of_what}{rest} done{left}{f'; {note}' if note else ''}.", err=True
+        )
 
 
 class LiveDisplay:
@@ -140,6 +225,12 @@ class _Barred(LiveDisplay):
     """Shows a bar on stderr, with the time left and a note behind it."""
 
     _task: Any = None
+    _lines: PacedLines | None = None
+
+    def __exit__(self, *of: object) -> None:
+        super().__exit__(*of)
+        if self._lines is not None:
+            self._lines.close()
 
     def _make_bar(self) -> None:
         from rich.console import Console
@@ -152,19 +243,28 @@ class _Barred(LiveDisplay):
 
 
 class BatchProgress(_Barred):
-    """Prints failures at once on stderr. In a terminal outside a build server, it shows a bar with rate and counts."""
+    """Prints failures at once on stderr.
 
-    def __init__(self, *, quiet: bool) -> None:
+    In a terminal outside a build server, it also shows a bar with rate and counts, otherwise ``PacedLines``. With
+    ``quiet``, only failures are shown.
+    """
+
+    def __init__(self, *, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:
         if not quiet and sys.stderr.isatty() and not os.environ.get("CI"):
             self._make_bar()
-        self._critical = self._failed = self._ran = 0
+        elif not quiet:
+            self._lines = PacedLines("episodes", clock=clock)
+        self._critical = self._failed = self._ran = self._total = self._before = 0
 
     def begin(self, total: int, before: Sequence[Row]) -> None:
+        self._total, self._before = total, len(before)
         self._critical = sum(bool(r["critical"]) for r in before)
         self._failed = sum(map(is_failed, before))
         if self._display is not None:
             self._task = self._display.add_task("Episodes", total=total, completed=len(before), note="")
             self._show(0)
+        elif self._lines is not None:
+            self._lines.begin(total, len(before))
 
     def finished(self, job: EpisodeJob, row: Row) -> None:
         self._critical += bool(row["critical"])
@@ -174,6 +274,8 @@ class BatchProgress(_Barred):
             self._say(f"{job.words} failed: {row['failure']}", "sumo-adv: ")
         if self._display is not None:
             self._show(1)
+        elif self._lines is not None:
+            self._lines.tell(self._before + self._ran, self._total, note=self._counts())
 
     def stopping(self, now: bool) -> None:
         self._say(stopping_words(now))
@@ -181,8 +283,10 @@ class BatchProgress(_Barred):
     def _show(self, advance: int) -> None:
         seconds = self._display.tasks[0].elapsed or 0.0
         rate = f"{60 * self._ran / seconds:.1f}/min, " if self._ran and seconds else ""
-        note = f"{rate}{self._critical} critical, {self._failed} failed"
-        self._display.update(self._task, advance=advance, note=note)
+        self._display.update(self._task, advance=advance, note=f"{rate}{self._counts()}")
+
+    def _counts(self) -> str:
+        return f"{self._critical} critical, {self._failed} failed"
 
     def _say(self, text: str, before: str = "") -> None:
         if self._display is None:
@@ -192,34 +296,61 @@ class BatchProgress(_Barred):
 
 
 class BenchProgress(_Barred):
-    """Shows a bar in a terminal, otherwise a line every half minute. Nothing is shown if ``quiet``."""
+    """Shows a bar in a terminal, otherwise ``PacedLines``. Nothing is shown if ``quiet``."""
 
     def __init__(self, *, quiet: bool) -> None:
-        self._quiet = quiet
         if not quiet and sys.stderr.isatty():
             self._make_bar()
+        elif not quiet:
+            self._lines = PacedLines("cells")
 
     def begin(self, total: int, before: int) -> None:
-        self._total, self._done, self._told = total, before, time.monotonic()
+        self._total, self._done = total, before
         if self._display is not None:
             self._task = self._display.add_task("cells", total=total, completed=before, note="")
-        elif not self._quiet:
+        elif self._lines is not None:
             typer.echo(f"{total} cells, {before} of them done before.", err=True)
+            self._lines.begin(total, before)
 
     def finished(self, job: bench.BenchJob) -> None:
         self._done += len(job.rows)
         if self._display is not None:
             self._display.update(self._task, advance=len(job.rows), description=clean(job.case.name))
-        elif not self._quiet and time.monotonic() - self._told > PROGRESS_PERIOD_S:
-            self._told = time.monotonic()
-            typer.echo(f"{self._done} of {self._total} cells.", err=True)
+        elif self._lines is not None:
+            self._lines.tell(self._done, self._total)
 
 
 class Counter:
-    """Shows progress in one line of stderr that is overwritten. It needs a terminal and is silent if ``quiet``."""
+    """Shows progress in one line of stderr that is overwritten, without a terminal as ``PacedLines``.
 
-    def __init__(self, what: str, *, quiet: bool) -> None:
-        self._what, self._shown, self._said = what, not quiet and sys.stderr.isatty(), False
+    Nothing is shown if ``quiet``.
+    """
+
+    def __init__(
+        self, what: str, *, quiet: bool, at_most: bool = False, clock: Callable[[], float] = time.monotonic
+    ) -> None:  # fmt: skip
+        """Start without a line.
+
+        Args:
+            what: What is counted, in the plural.
+            quiet: Whether nothing is shown.
+            at_most: Whether fewer may be needed than the number of all.
+            clock: Returns the time [s].
+        """
+        self._what, self._most, self._said = what, "at most " if at_most else "", False
+        self._shown = not quiet and sys.stderr.isatty()
+        self._lines = None if quiet or self._shown else PacedLines(what, at_most=at_most, clock=clock)
+
+    def begin(self, of: int) -> None:
+        """Begin to count.
+
+        Args:
+            of: The number of all.
+        """
+        if self._lines is not None:
+            self._lines.begin(of)
+        elif of:
+            self.tell(0, of)
 
     def tell(self, done: int, of: int, phase: str = "") -> None:
         """Show the progress.
@@ -229,13 +360,17 @@ class Counter:
             of: The number of all.
             phase: A text in front.
         """
+        if self._lines is not None:
+            self._lines.tell(done, of, phase)
         if self._shown:
             self._said = True
-            words = f"\r{phase}{done} of {of} {self._what} "  # sys.stderr would drop the carriage return
+            words = f"\r{phase}{done} of {self._most}{of} {self._what} "  # sys.stderr would drop the carriage return
             print(words, end="", file=sys.__stderr__, flush=True)
 
     def close(self) -> None:
-        """End the line if anything was shown."""
+        """End the line if anything was shown, and print none later."""
+        if self._lines is not None:
+            self._lines.close()
         if self._said:
             typer.echo(err=True)
 

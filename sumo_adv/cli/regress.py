@@ -76,6 +76,7 @@ def keep(
         raise UsageError(f"--name is for one run, and {len(runs)} were given.")
     done, fresh = _sorted(runs, set(given), suite, level, _scenarios(scenario), name)
     counter, number = Counter("attacks", quiet=as_json), count(1)
+    counter.begin(len(fresh))
     answers = references(fresh, expect, workers or os.cpu_count() or 1, lambda: counter.tell(next(number), len(fresh)))
     counter.close()
     for run, answer in zip(fresh, answers, strict=True):
@@ -239,6 +240,7 @@ def regress(
     name = suite.resolve().name
     target = out or Path("runs") / f"regress-{name}"
     counter, done = Counter("cases", quiet=as_json), count(1)
+    counter.begin(len(cases))
     run = run_suite(
         cases, name, ego, target, workers=workers or os.cpu_count() or 1, force=force, attempts=attempts,
         baseline=before, waived=waivers.by_case, tell=lambda _: counter.tell(next(done), len(cases)),

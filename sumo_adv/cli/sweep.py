@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -48,7 +49,7 @@ def sweep(
     The border of the reference driver cc_human (the driver careful) is in the picture. Of a scenario, an attack that
     hits the first driver is looked for first.
     """
-    from sumo_adv.regression.sweep import REFERENCE, Sweep, axis_of
+    from sumo_adv.regression.sweep import REFERENCE, Sweep, axis_of, numbers_of
 
     drivers = words(ego)
     drivers += [REFERENCE] if REFERENCE not in drivers and not no_reference else []
@@ -62,8 +63,8 @@ def sweep(
     if (target / "sweep.json").exists() and not force:
         raise UsageError(f"{target} holds a sweep already; give another --out, or --force to replace it.")
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
-        case = _case(given, drivers[0], Path(scratch))
-        axes = tuple(axis_of(case, each) for each in over)
+        case = _case(given, drivers[0], Path(scratch), quiet=as_json)
+        axes, names = tuple(axis_of(case, each) for each in over), numbers_of(case)
         if len({axis.name for axis in axes}) < len(axes):
             raise UsageError(f"--over names '{axes[0].name}' twice; give two numbers.")
         found = {driver: _swept(case, axes, driver, avoid, points, whole=grid, quiet=as_json) for driver in drivers}
@@ -74,18 +75,11 @@ def sweep(
     if as_json:
         typer.echo(json.dumps({**document, "folder": str(target)}))
         return
-    for driver, each in document["drivers"].items():
-        counts = ", ".join(f"{each[word]} {word}" for word in ("pass", "fail", "invalid", "no encounter"))
-        typer.echo(f"{driver}: {counts}; {each['measured']} of {len(done.drivers[driver])} points were measured.")
-        if len(axes) == 1:
-            places = ", ".join(f"{place[axes[0].name]:g}" for place in each["border"])
-            typer.echo(
-                f"  border at {axes[0].name} = {places} {axes[0].unit}" if places else "  no border in the range"
-            )
+    typer.echo("\n".join(done.lines(names)))
     typer.echo(f"Picture: {target / 'sweep.png'}\nFiles: {target}")
 
 
-def _case(given: Path, ego: str, scratch: Path) -> KeptCase:
+def _case(given: Path, ego: str, scratch: Path, *, quiet: bool) -> KeptCase:
     """Read a kept case, or make one of a run or of an attack that is searched for in a scenario.
 
     Raises:
@@ -100,6 +94,8 @@ def _case(given: Path, ego: str, scratch: Path) -> KeptCase:
     if not (given / OUTCOME_FILE).is_file():
         from sumo_adv.api import run as attacked
 
+        if not quiet:
+            typer.echo(f"Looking for an attack on {ego} in {given}.", err=True)
         run = attacked(given, ego=ego, out=scratch / "run", until="collision", learn="off").folder
     try:
         folder, _ = keep_run(run, scratch / "suite", Expectation(avoid="collision"))
@@ -122,15 +118,13 @@ def _swept(
 
     place = Sweep(case.name, tuple(axes), points, {})
     expect = Expectation.model_validate({"avoid": str(avoid.level)})
-    counter, made = Counter(f"points of {driver}", quiet=quiet), 0
+    counter, made, of = Counter(f"points of {driver}", quiet=quiet, at_most=not whole), count(1), points ** len(axes)
+    counter.begin(of)
     with SweepRunner() as runner:
 
         def measure(some: Sequence[Index]) -> list[Point]:
-            nonlocal made
-            measured = runner.measure(case, driver, expect, [place.numbers(index) for index in some])
-            made += len(some)
-            counter.tell(made, points ** len(axes))
-            return measured
+            numbers = [place.numbers(index) for index in some]
+            return runner.measure(case, driver, expect, numbers, lambda: counter.tell(next(made), of))
 
         found = swept(measure, len(axes), points, whole=whole)
     counter.close()

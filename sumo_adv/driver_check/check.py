@@ -75,13 +75,23 @@ def shipped_drive(scenario: str, vehicle: str) -> RunInput:
 
 
 def by_name(name: str) -> RunInput | None:
-    """Load one of the twelve inputs by its name in the table, ``scenario:vehicle``; None if there is none."""
-    found = (
-        shipped_drive(scenario, vehicle)
-        for scenario, vehicle in CHECK_SCENARIOS
-        if name == f"{Path(scenario).name}:{vehicle}"
-    )
-    return next(found, None)
+    """Load one of the twelve inputs by its name in the table.
+
+    Args:
+        name: ``scenario:vehicle``, or the scenario alone if it is in a subfolder of ``scenarios``. Other shipped
+            scenarios have inputs of their own under that name.
+
+    Returns:
+        The input; None if there is none of that name.
+
+    Raises:
+        UsageError: Shipped files are missing.
+    """
+    for scenario, vehicle in CHECK_SCENARIOS:
+        own = Path(scenario).name
+        if name == f"{own}:{vehicle}" or (name == own != scenario):
+            return shipped_drive(scenario, vehicle)
+    return None
 
 
 @dataclass(frozen=True, slots=True)

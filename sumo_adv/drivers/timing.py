@@ -71,11 +71,13 @@ class DriverTime:
         """Return a sentence for people.
 
         Args:
-            of: Wall time of the whole [s]. Two forks may run at once, so the driver's time may be longer.
+            of: Wall time of the whole [s]. Several attempts may run at once, so the driver's time may be longer. Then
+                the sentence names the reason.
         """
+        at_once = " (in several processes at once)" if self.seconds > of else ""
         return (
-            f"Your driver took {self.seconds:.1f} s of {of:.1f} s: {self.calls:,} calls, mean {_ms(self.mean_ms)}, "
-            f"99 % within {_ms(self.within_ms(0.99))}."
+            f"Your driver took {self.seconds:.1f} s of {of:.1f} s{at_once}: {self.calls:,} calls, "
+            f"mean {_ms(self.mean_ms)}, 99 % within {_ms(self.within_ms(0.99))}."
         )
 
 

@@ -24,6 +24,7 @@ from collections import Counter
 from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass
 
+MIN_SAMPLES = 10  # samples below which nothing is said of what is left: most kinds were seen once or not at all
 NORMAL_95 = 1.96  # standard deviations on each side of a 95 % interval
 
 
@@ -59,9 +60,11 @@ class Discovery:
 
     @property
     def words(self) -> str:
-        """The chance and the bound in words."""
+        """The chance and the bound in words, or that there are too few samples for them."""
         if not self.samples:
             return "no episode yet"
+        if self.samples < MIN_SAMPLES:
+            return "too few episodes to say what is left"
         chance = f"the next episode brings a new kind with a probability of {100 * self.chance:.0f} %"
         if not self.kinds:
             return chance

@@ -122,6 +122,15 @@ def axis_of(case: KeptCase, given: str) -> Axis:
     return Axis(name, low, high, unit)
 
 
+def numbers_of(case: KeptCase) -> tuple[str, ...]:
+    """Return the names of the numbers of a case that can be swept.
+
+    Args:
+        case: The kept case.
+    """
+    return tuple(_bounds(case))
+
+
 def _bounds(case: KeptCase) -> dict[str, tuple[str, float, float]]:
     """Return the unit and the bounds of each number, by name."""
     p = case.proposal
@@ -166,8 +175,9 @@ class SweepRunner(WarmProcesses):
         forget_environment()
 
     def measure(
-        self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]]
-    ) -> list[Point]:
+        self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]],
+        tell: Callable[[], None] = lambda: None,
+    ) -> list[Point]:  # fmt: skip
         """Return the result at each point, in order.
 
         Points with the same scenario and start are attempts of one encounter.
@@ -177,6 +187,7 @@ class SweepRunner(WarmProcesses):
             ego: The driver under test.
             expect: What is expected of the ego.
             numbers: The numbers of each point.
+            tell: Called as each point ends.
 
         Raises:
             SumoAdvError: The driver or the simulation failed.
@@ -189,12 +200,14 @@ class SweepRunner(WarmProcesses):
 
         for _, group in groupby(sorted(range(len(numbers)), key=encounter), key=encounter):
             some = list(group)
-            points |= dict(zip(some, self._encounter(case, ego, expect, [numbers[k] for k in some]), strict=True))
+            came = self._encounter(case, ego, expect, [numbers[k] for k in some], tell)
+            points |= dict(zip(some, came, strict=True))
         return [points[k] for k in range(len(numbers))]
 
     def _encounter(
-        self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]]
-    ) -> list[Point]:
+        self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]],
+        tell: Callable[[], None],
+    ) -> list[Point]:  # fmt: skip
         """Return the results at points with the same scenario and start."""
         cases = [at_numbers(case, each) for each in numbers]
         settings = settings_for(cases[0], ego)
@@ -202,6 +215,8 @@ class SweepRunner(WarmProcesses):
             task = task_for(cases[0], settings, Path(scratch))
             record = EncounterFinder(cases[0].run_input, settings, task, engine, lambda *_: None).seek()
             if record is None or elsewhere(cases[0], record.found):
+                for _ in cases:
+                    tell()
                 return [Point(PointResult.NO_ENCOUNTER)] * len(cases)
             runner = runner_of(engine, self._sandboxes.of(settings), record.found, settings)
             points = []
@@ -219,6 +234,7 @@ class SweepRunner(WarmProcesses):
                         verdict.delta_v if verdict.collided else None,
                     )
                 )  # fmt: skip
+                tell()
             return points
 
 
@@ -271,6 +287,17 @@ def border(points: Points) -> list[tuple[float, ...]]:
     return places
 
 
+def changes_nothing(points: Points) -> bool:
+    """Return whether all measured points pass or fail with the same outcome, to all digits.
+
+    Args:
+        points: The results by index.
+    """
+    measured = [point for point in points.values() if point.measured]
+    judged = all(point.result in (PointResult.PASS, PointResult.FAIL) for point in measured)
+    return judged and len(measured) > 1 and len(set(measured)) == 1
+
+
 @dataclass(frozen=True, slots=True)
 class Sweep:
     """A sweep of some drivers over the same numbers.
@@ -297,6 +324,44 @@ class Sweep:
             axis.name: round(axis.low + k * (axis.high - axis.low) / (self.count - 1), 6)
             for axis, k in zip(self.axes, index, strict=True)
         }
+
+    def lines(self, names: Sequence[str]) -> list[str]:
+        """Describe the results of each driver: counts, share of passes, and border.
+
+        Args:
+            names: The names of all numbers that the case has.
+        """
+        lines = []
+        swept_names = " and ".join(axis.name for axis in self.axes)
+        others = [name for name in names if name not in {axis.name for axis in self.axes}]
+        for driver, points in self.drivers.items():
+            results = [point.result for point in points.values()]
+            counts = ", ".join(f"{results.count(result)} {result}" for result in PointResult)
+            share = f" ({100 * results.count(PointResult.PASS) / len(results):.0f} % pass)"
+            measured = sum(point.measured for point in points.values())
+            lines.append(f"{driver}: {counts}{share}; {measured} of {len(points)} points were measured.")
+            if changes_nothing(points):
+                more = f"; the case also has {', '.join(others)}" if others else ""
+                change = "changes" if len(self.axes) == 1 else "change"
+                lines.append(f"  {swept_names} {change} nothing for {driver}{more}")
+            else:
+                lines.append(f"  {self._border_words(points)}")
+        return lines
+
+    def _border_words(self, points: Points) -> str:
+        """Say where the border of a driver is: each place, or with two numbers the range of each."""
+        places = [self.numbers(place) for place in border(points)]
+        if not places:
+            return "no border in the range"
+        where = []
+        for axis in self.axes:
+            values = sorted({place[axis.name] for place in places})
+            if len(self.axes) > 1 and len(values) > 1:
+                words = f"from {values[0]:g} to {values[-1]:g}"
+            else:
+                words = f"= {', '.join(f'{value:g}' for value in values)}"
+            where.append(f"{axis.name} {words} {axis.unit}".rstrip())
+        return f"border at {', '.join(where)}"
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each driver and point; an infinite TTC is None."""
