@@ -155,8 +155,9 @@ def _note(run: Path, answer: Reference) -> str:
     notes = []
     if answer.why and answer.passed_by:
         notes.append(f"passed by {', '.join(answer.passed_by)}, and not by careful: {answer.why.rstrip('.')}")
-    delta_v = (read_outcome(run).get("outcome") or {}).get("delta_v")
-    if delta_v is not None and delta_v < NEAR_TOUCH_DELTA_V_M_S:
+    outcome = read_outcome(run).get("outcome") or {}
+    delta_v, on_foot_or_bicycle = outcome.get("delta_v"), outcome.get("impact_speed") is not None
+    if delta_v is not None and delta_v < NEAR_TOUCH_DELTA_V_M_S and not on_foot_or_bicycle:
         notes.append(f"a near-touch, with a delta-v of {delta_v:.2f} m/s")
     return f" ({'; '.join(notes)})" if notes else ""
 
