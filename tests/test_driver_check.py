@@ -202,7 +202,7 @@ def test_there_are_twelve_scenarios() -> None:
 def test_the_command_says_what_is_wrong_and_exits_with_3(program: Program) -> None:
     scenario = ROOT / "scenarios" / "check" / "stop_and_go.toml"
     good = program.here("doctor", "--ego", "ego_samples:CalmEgo", "--scenario", scenario)
-    assert (good.status, good.out.splitlines()[-1]) == (0, "ego_samples:CalmEgo drives well in all 1 scenarios.")
+    assert (good.status, good.out.splitlines()[-1]) == (0, "ego_samples:CalmEgo drives well in the one scenario.")
     wrong = program.here("doctor", "--ego", "ego_samples:FailingEgo", "--scenario", scenario, "--json")
     report = json.loads(wrong.out)
     assert (wrong.status, report["ok"], list(report["findings"])) == (3, False, ["fails"])

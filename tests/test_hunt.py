@@ -104,6 +104,13 @@ def test_robust_and_humanlike_failures_come_first_within_a_level_and_near_touche
     assert count_failures(found, Level.VALID) == 4
 
 
+def test_a_hit_of_a_pedestrian_is_no_near_touch() -> None:
+    """The delta-v of a car that hits a pedestrian at 8.2 m/s is 0.3 m/s."""
+    failure = failure_of(row(delta_v=0.3, impact_speed=8.2), Path())
+    assert failure is not None and not failure.near_touch
+    assert failure.words == "serious: Cut (neighbour, motorway), hit on the left with 8.2 m/s. Your driver was late"
+
+
 class Campaigns:
     """Rounds in which each first success takes 2 s.
 

@@ -224,7 +224,7 @@ def test_the_check_of_a_driver_tells_a_hit(tmp_path: Path, caches: Path) -> None
     blind = program.here("doctor", "--ego", "ego_samples:OnwardEgo", "--scenario", case)
     assert f"collides by itself at 13.6 s: its front meets the left of '{PERSON}' (ego 10.0 m/s" in blind.out
     careful = program.here("doctor", "--ego", "careful", "--scenario", case)
-    assert (careful.status, careful.out.splitlines()[-1]) == (0, "careful drives well in all 1 scenarios.")
+    assert (careful.status, careful.out.splitlines()[-1]) == (0, "careful drives well in the one scenario.")
 
 
 def test_names_of_persons_are_checked(tmp_path: Path, caches: Path) -> None:

@@ -150,8 +150,8 @@ OUTCOME_FILE, TRACEBACK_FILE, LEARNT_FILE = "outcome.json", "traceback.txt", "le
 RESULT_COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
-    "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
-    "kind", "road", "ego_speed", "supports", "composition", "cause", "cause_sentence",
+    "ego_stationary", "humanlike", "delta_v", "impact_speed", "severity", "serious", "fault", "contact_time",
+    "adversary", "relation", "kind", "road", "ego_speed", "supports", "composition", "cause", "cause_sentence",
     "robust", "overlap", "warning", "red_light", "right_of_way", *SCENARIO,
     "driver_calls", "driver_seconds", "driver_p99_ms",
 )  # fmt: skip
@@ -161,6 +161,7 @@ Times are in s, speeds in m/s. An empty ``min_ttc`` means *never*. An empty ``va
 that there was no collision.
 
 - ``road`` and ``ego_speed`` are those of the encounter.
+- ``impact_speed`` is the speed at which a pedestrian, a cyclist or a motorcyclist is hit; it is empty for a car.
 - ``supports`` lists the other adversaries with their roles, as ``id:role``, and ``composition`` names what all of them
   do together. Both are empty for a single adversary.
 - ``cause`` is the kind of cause (``metrics/cause.py``). It is empty if there was neither a contact nor a near miss.
@@ -179,7 +180,7 @@ CLOCK_COLUMNS = ("seconds", "driver_seconds", "driver_p99_ms")
 
 INTEGER_COLUMNS = ("seed", "attempts")
 NUMERIC_COLUMNS = (
-    "raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed", "overlap", "warning",
+    "raw_min_ttc", "min_ttc", "seconds", "delta_v", "impact_speed", "contact_time", "ego_speed", "overlap", "warning",
     "driver_calls", "driver_seconds", "driver_p99_ms",
 )  # fmt: skip
 BOOLEAN_COLUMNS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
@@ -213,7 +214,10 @@ def result_row(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         "traceback": f"runs/{name}/{TRACEBACK_FILE}" if traceback else None,
         "level": best.get("level"), "strict": best.get("strict"),
         "preventable_by": None if preventable_by is None else " ".join(preventable_by),
-        **{key: best.get(key) for key in ("inconclusive", "ego_stationary", "humanlike", "delta_v", "severity")},
+        **{
+            key: best.get(key)
+            for key in ("inconclusive", "ego_stationary", "humanlike", "delta_v", "impact_speed", "severity")
+        },
         "serious": best["level"] == "serious" if best.get("collided") else None,
         "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
         **{key: best.get(key) for key in ("overlap", "warning", "red_light", "right_of_way")},

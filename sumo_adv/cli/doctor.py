@@ -268,7 +268,8 @@ def summary(done: DriverCheck) -> list[str]:
         lines.append(f"Stopped by Ctrl-C after {_many(len(done.scenarios))}.")
     wrong = sum(bool(checked.findings) for checked in done.scenarios)
     if not wrong:
-        lines.append(f"{done.ego} drives well in all {len(done.scenarios)} scenarios." if done.scenarios else "")
+        every = f"all {len(done.scenarios)} scenarios" if len(done.scenarios) != 1 else "the one scenario"
+        lines.append(f"{done.ego} drives well in {every}." if done.scenarios else "")
     else:
         lines.append(f"{done.ego}: something is wrong in {wrong} of {len(done.scenarios)} scenarios.")
     return lines

@@ -229,7 +229,7 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         for row in some[:MAX_FAILURES_SHOWN]:
             words = "\n".join(filter(None, (_what(row), _facts(row), row["cause_sentence"], _differing(row, rows))))
             shown.add_row(
-                str(row["rank"]), row["level"], f"{row['delta_v']:.1f} m/s", row["side"], str(row["count"]), words
+                str(row["rank"]), row["level"], _hard(row), row["side"], str(row["count"]), words
             )  # fmt: skip
         Console(highlight=False, markup=False).print(shown)
     more = f" The table shows the first {MAX_FAILURES_SHOWN}." if len(failures) > MAX_FAILURES_SHOWN else ""
@@ -292,6 +292,13 @@ def never_met_words(names: Sequence[str]) -> str:
     more = len(names) - MAX_NEVER_MET_SHOWN
     rest = f" and {more} more (scenarios.csv)" if more > 0 else ""
     return f"{'; '.join(names[:MAX_NEVER_MET_SHOWN]) or 'none'}{rest}"
+
+
+def _hard(row: Mapping[str, Any]) -> str:
+    """Say how hard the contact is: the delta-v, or the speed at which a pedestrian or a cyclist is hit."""
+    if row["impact_speed"] is not None:
+        return f"hit at {row['impact_speed']:.1f} m/s"
+    return f"{row['delta_v']:.1f} m/s"
 
 
 def _what(row: Mapping[str, Any]) -> str:

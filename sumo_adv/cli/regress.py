@@ -149,15 +149,15 @@ def _expected(avoid: Until | None, min_ttc: float | None, *, no_worse: bool) -> 
 
 def _note(run: Path, answer: Reference) -> str:
     """Say that ``careful`` does not pass a case that is kept, and that the attack found a near-touch only."""
-    from sumo_adv.hunting.failures import NEAR_TOUCH_DELTA_V_M_S
+    from sumo_adv.hunting.failures import is_near_touch
     from sumo_adv.report.read import read_outcome
 
     notes = []
     if answer.why and answer.passed_by:
         notes.append(f"passed by {', '.join(answer.passed_by)}, and not by careful: {answer.why.rstrip('.')}")
     outcome = read_outcome(run).get("outcome") or {}
-    delta_v, on_foot_or_bicycle = outcome.get("delta_v"), outcome.get("impact_speed") is not None
-    if delta_v is not None and delta_v < NEAR_TOUCH_DELTA_V_M_S and not on_foot_or_bicycle:
+    delta_v = outcome.get("delta_v")
+    if delta_v is not None and is_near_touch(delta_v, outcome.get("impact_speed")):
         notes.append(f"a near-touch, with a delta-v of {delta_v:.2f} m/s")
     return f" ({'; '.join(notes)})" if notes else ""
 

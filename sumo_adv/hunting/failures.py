@@ -16,10 +16,21 @@ from sumo_adv.scenario_names import COLUMNS as SCENARIO
 FAILURE_COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
     "adversary", "preventable_by", "run", "cause", "cause_sentence", "robust", "humanlike", "fault", "red_light",
-    "right_of_way", "overlap", "warning", "near_touch", *SCENARIO,
+    "right_of_way", "overlap", "warning", "impact_speed", "near_touch", *SCENARIO,
 )  # fmt: skip
 NEAR_TOUCH_DELTA_V_M_S = 0.447
 """Delta-v [m/s] (1 mph) below which a collision is a near-touch. Near-touches are listed last, apart from others."""
+
+
+def is_near_touch(delta_v: float, impact_speed: float | None) -> bool:
+    """Return whether a contact was negligible.
+
+    Args:
+        delta_v: The delta-v of the ego [m/s].
+        impact_speed: The speed at which a pedestrian, a cyclist or a motorcyclist is hit [m/s], which never is
+            negligible; None for another road user.
+    """
+    return impact_speed is None and delta_v < NEAR_TOUCH_DELTA_V_M_S
 
 
 class FailureCell(NamedTuple):
@@ -63,6 +74,7 @@ class Failure:
         right_of_way: Who took the right of way from the other.
         overlap: The overlap as a share of the narrower of the two touching faces.
         warning: The time from the alarm of ``cc_human`` to the contact [s].
+        impact_speed: The speed at which a pedestrian, a cyclist or a motorcyclist is hit [m/s]; None otherwise.
         motion: What the adversary does; None for episodes of an earlier version.
         nhtsa: The name of the scenario at NHTSA (``scenario_names.py``).
         iso_34502: Its name in ISO 34502.
@@ -86,6 +98,7 @@ class Failure:
     right_of_way: str | None = None
     overlap: float | None = None
     warning: float | None = None
+    impact_speed: float | None = None
     motion: str | None = None
     nhtsa: str | None = None
     iso_34502: str | None = None
@@ -95,24 +108,29 @@ class Failure:
     @property
     def near_touch(self) -> bool:
         """Whether the contact was negligible."""
-        return self.delta_v < NEAR_TOUCH_DELTA_V_M_S
+        return is_near_touch(self.delta_v, self.impact_speed)
+
+    @property
+    def hardness(self) -> float:
+        """The impact speed if there is one, or the delta-v of the ego [m/s]."""
+        return self.delta_v if self.impact_speed is None else self.impact_speed
 
     @property
     def worth(self) -> tuple[bool, int, bool, bool, float]:
         """A key that sorts failures; the one to look at first comes last.
 
         In this order, it compares whether the failure is more than a near-touch, its level, whether it is both robust
-        and humanlike, whether it is at least one of them, and its delta-v.
+        and humanlike, whether it is at least one of them, and how hard it is.
         """
         robust, human = self.robust is True, self.humanlike is True
-        return (not self.near_touch, int(self.level), robust and human, robust or human, self.delta_v)
+        return (not self.near_touch, int(self.level), robust and human, robust or human, self.hardness)
 
     @property
     def words(self) -> str:
         """The failure in a sentence."""
         c = self.cell
         does = f"{self.motion or c.intent} ({c.relation}, {c.road})"
-        hit = f"{self.level}: {does}, hit on the {c.side} with {self.delta_v:.1f} m/s"
+        hit = f"{self.level}: {does}, hit on the {c.side} with {self.hardness:.1f} m/s"
         return f"{hit}. {self.why.removesuffix('.')}" if self.why else hit
 
 
@@ -142,8 +160,8 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
         str(row["preventable_by"] or ""), runs / str(row["id"]), str(row.get("cause_sentence") or ""),
         robust=row.get("robust"), humanlike=row.get("humanlike"), fault=row.get("fault"),
         red_light=row.get("red_light"), right_of_way=row.get("right_of_way"), overlap=row.get("overlap"),
-        warning=row.get("warning"), motion=row.get("motion"), nhtsa=row.get("nhtsa"),
-        iso_34502=row.get("iso_34502"), euro_ncap=row.get("euro_ncap"),
+        warning=row.get("warning"), impact_speed=row.get("impact_speed"), motion=row.get("motion"),
+        nhtsa=row.get("nhtsa"), iso_34502=row.get("iso_34502"), euro_ncap=row.get("euro_ncap"),
     )  # fmt: skip
 
 

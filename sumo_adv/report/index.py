@@ -58,7 +58,7 @@ LATER_TEXT_FIELDS = (
     "right_of_way",
     *SCENARIO,
 )  # text columns that earlier tables may lack
-LATER_NUMBER_FIELDS, LATER_FLAG_FIELDS = ("overlap", "warning"), ("humanlike", "robust")  # likewise
+LATER_NUMBER_FIELDS, LATER_FLAG_FIELDS = ("overlap", "warning", "impact_speed"), ("humanlike", "robust")  # likewise
 NUMBER_FIELDS = ("seed", "raw_min_ttc", "min_ttc", "attempts", "seconds", "delta_v")
 FLAG_FIELDS = ("collided", "valid", "critical")
 VARIED = "set_"

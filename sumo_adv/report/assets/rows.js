@@ -25,8 +25,8 @@ const classes = Array.from({ length: total }, (_, i) => classOf(i));
 const haystack = Array.from({ length: total }, (_, i) =>
   ["id", "network", "ego", "intent", "ending", "failure", "relation", "road", "preventable_by", "cause", "cause_sentence", "fault"].map((name) => columns[name][i]).join("\n").toLowerCase());
 
-/** Whether a collision that counts has a delta-v of the ego below 1 mph. */
-const nearTouch = (i) => ["serious", "strict", "valid"].includes(classes[i]) && columns.delta_v[i] !== null && columns.delta_v[i] < 0.447;
+/** Whether a collision that counts has a delta-v of the ego below 1 mph, and nobody on foot or on two wheels is hit. */
+const nearTouch = (i) => ["serious", "strict", "valid"].includes(classes[i]) && columns.delta_v[i] !== null && columns.delta_v[i] < 0.447 && columns.impact_speed[i] === null;
 
 /** The default order: by what it came to, near-touches behind all collisions that count; robust and humanlike ones first among equals. */
 const ranks = Array.from({ length: total }, (_, i) => {
