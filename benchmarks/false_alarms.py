@@ -58,7 +58,8 @@ def events(ego: Track, others: list[Track]) -> tuple[dict[str, int], dict[str, i
         return dict.fromkeys(BRAKERS, 0), dict.fromkeys(BRAKERS, 0)
     grid = on_grid(near, ego.time)
     least: Floats = np.nanmin(np.where(np.isfinite(grid.x), ttc(ego.boxes(), grid), np.inf), axis=0)
-    wide = Boxes(*(v[None] for v in (grid.x, grid.y, grid.heading, grid.speed)), grid.length[None], grid.width[None])
+    length, width = (np.asarray(size)[None] for size in (grid.length, grid.width))
+    wide = Boxes(grid.x[None], grid.y[None], grid.heading[None], grid.speed[None], length, width)
     views = Views(wide, located_on(EgoPaths(row), wide), (ego.length, ego.width), DT, 1.6)
     station = EgoPaths(row).station[0]
     needless, braked = dict.fromkeys(BRAKERS, 0), dict.fromkeys(BRAKERS, 0)

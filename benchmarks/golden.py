@@ -50,7 +50,7 @@ NAMES = ("named_scenario",)
 
 def instructions() -> list[str]:
     """The vector instructions that numpy uses on this machine."""
-    from numpy._core._multiarray_umath import __cpu_features__ as features
+    from numpy._core._multiarray_umath import __cpu_features__ as features  # type: ignore[import-not-found]
 
     return sorted(name for name in ("AVX2", "FMA3", "AVX512F", "AVX512_SKX", "NEON", "SVE") if features.get(name))
 
@@ -128,9 +128,9 @@ def main() -> int:
     table = json.loads(given.file.read_text())
     if (table["numpy"], table["instructions"]) != (np.__version__, instructions()):
         print("The file was made with another numpy or another processor, so the last bits of floats may differ.")
-    lines = differences(table["runs"], run_all([(s, e) for s, e in table["cases"]], given.workers))
-    print("\n".join([*lines, f"{len(table['runs']) - len(lines)} of {len(table['runs'])} runs are the same."]))
-    return 1 if lines else 0
+    other = differences(table["runs"], run_all([(s, e) for s, e in table["cases"]], given.workers))
+    print("\n".join([*other, f"{len(table['runs']) - len(other)} of {len(table['runs'])} runs are the same."]))
+    return 1 if other else 0
 
 
 if __name__ == "__main__":

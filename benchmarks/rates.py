@@ -39,7 +39,7 @@ def main() -> None:
     inputs = args.networks or args.scenarios
     jobs = [(ego, file, seed) for ego in args.egos.split(",") for file in inputs for seed in range(args.seeds)]
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(args.workers) as pool:
-        rows = list(pool.map(lambda job: _run(*job, args.until, args.attempts, Path(folder)), jobs))
+        rows = list(pool.map(lambda job: _run(job[0], job[1], job[2], args.until, args.attempts, Path(folder)), jobs))
     for row in rows:
         print(_line(row))
     for ego in args.egos.split(","):

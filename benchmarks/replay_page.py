@@ -20,7 +20,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from page_samples import Visit, chromium, make_run, outcome
+from page_samples import Visit, chromium, make_run, outcome  # type: ignore[import-not-found]
 
 from sumo_adv.report.index import MadePages, ResultsTable, make_index, road_of
 from sumo_adv.report.page import make_page

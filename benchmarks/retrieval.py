@@ -83,7 +83,7 @@ def hit_time(bank: MemoryBank) -> float:
         goal = PathEndpoint(end["x"], end["y"], end["speed"], end["time"])
         motion = steer(Scalar, motion, goal, 0.0)
         for _ in range(20):
-            motion = advance(Scalar, motion, goal, road, limits, 30.0, 0.1)
+            motion = advance(Scalar, motion, goal, road, limits, 30.0, 0.1, True)
         return float(motion.s)
 
     with Sandbox() as sandbox:

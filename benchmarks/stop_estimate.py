@@ -64,13 +64,16 @@ def check(name: str, samples: Sequence[Collection[Hashable]], share: float) -> C
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("hunts", nargs="+", type=Path, help="folders of finished hunts")
+    parser.add_argument("hunts", nargs="*", type=Path, help="folders of finished hunts")
     parser.add_argument("--share", type=float, default=0.25, help="of the encounters before the cut (default: 0.25)")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
     given = parser.parse_args()
     if not 0.0 < given.share <= 0.5:
         parser.error("--share must be above 0 and at most 0.5")
     checked = []
+    if not given.hunts:
+        print("no folder of a finished hunt given: nothing to do")
+        return 0
     for hunt in given.hunts:
         try:
             samples = kinds_by_encounter(hunt)

@@ -9,6 +9,7 @@ import shutil
 import signal
 import time
 from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from test_interrupt import alive, children_of, wait_until
 from sumo_adv.campaigns.local import _work
 from sumo_adv.campaigns.results import CLOCK_COLUMNS, RESULT_COLUMNS
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.simulation.processes import check_parent
 
 
 @pytest.fixture(scope="module")
@@ -242,6 +244,41 @@ def test_a_worker_that_starts_as_its_parent_dies_ends_without_a_word(
     process.start()
     process.join(PATIENCE)
     assert process.exitcode == 0 and capfd.readouterr().err == ""
+
+
+def _outlive(child_end: Connection, words: Path) -> None:
+    """Check the parent while it runs, and when it has ended."""
+    check_parent()
+    child_end.send("it runs")
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    try:
+        check_parent()
+    except EOFError as error:
+        words.with_suffix(".new").write_text(str(error), encoding="utf-8")
+        words.with_suffix(".new").rename(words)
+
+
+def _die(words: Path) -> None:
+    """Start a process that outlives this one."""
+    context = multiprocessing.get_context("spawn")
+    own_end, child_end = context.Pipe()
+    context.Process(target=_outlive, args=(child_end, words)).start()
+    assert own_end.recv() == "it runs"
+    os._exit(0)
+
+
+def test_a_worker_that_outlives_its_parent_learns_it(tmp_path: Path) -> None:
+    """Its scratch folder may be gone by then, so what it does is worth nothing."""
+    words = tmp_path / "words"
+    process = multiprocessing.get_context("spawn").Process(target=_die, args=(words,))
+    process.start()
+    process.join(PATIENCE)
+    until = time.monotonic() + PATIENCE
+    while not words.exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    assert words.read_text(encoding="utf-8") == "The process that started this one has ended."
 
 
 @pytest.mark.parametrize("victim", [pytest.param("worker", marks=pytest.mark.soak), "parent"])

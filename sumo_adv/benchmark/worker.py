@@ -26,6 +26,7 @@ from sumo_adv.files import is_storage_error, json_text, scratch_prefix, storage_
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.simulation.processes import check_parent
 
 NOTE_PERIOD_S = 0.5  # time between two notes
 
@@ -105,6 +106,7 @@ class Bencher(WarmProcesses):
 
         Raises:
             SumoAdvError: The library cannot be read, or the results cannot be written.
+            EOFError: The table's process has ended.
         """
         left = list(missing_rows(self._setup, job))
         while left:
@@ -122,8 +124,12 @@ class Bencher(WarmProcesses):
                 self._engine, self._sandboxes = WarmEngine(), WarmSandboxes()
                 if left:
                     seconds = time.perf_counter() - self._began
-                    keep_cell(self._setup.folder, failure(self._setup, job, left.pop(0), sentence, seconds))
+                    self._keep(failure(self._setup, job, left.pop(0), sentence, seconds))
         return Done(job.id, None)
+
+    def _keep(self, cell: Cell) -> None:
+        check_parent()
+        keep_cell(self._setup.folder, cell)
 
     def _run(self, job: BenchJob, left: list[str]) -> None:
         """Write the cells of the rows in ``left``, and remove each row from the list when it is done."""
@@ -140,7 +146,7 @@ class Bencher(WarmProcesses):
             with self._engine.episode() as engine:
                 arena = Arena(run_input, settings, task, engine, self._sandboxes.of(settings), bank, common)
                 while left:
-                    keep_cell(self._setup.folder, self._cell(job, left[0], arena, bank, Path(scratch)))
+                    self._keep(self._cell(job, left[0], arena, bank, Path(scratch)))
                     left.pop(0)
                     self._began = time.perf_counter()
             if arena.found is None and arena.unattacked.ending is Ending.SIMULATION_FAILED:

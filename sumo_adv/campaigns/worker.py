@@ -49,6 +49,7 @@ from sumo_adv.memory.records import (
 )
 from sumo_adv.parsing import parse_json
 from sumo_adv.simulation.inputs import RunInput, own_simulation
+from sumo_adv.simulation.processes import check_parent
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +232,7 @@ class Runner(WarmProcesses):
             StorageError: The disk is full, or the results may not be written.
             UsageError: The results may not be written.
             BankError: The bank cannot be opened or written.
+            EOFError: The campaign's process has ended, so nothing is kept: the scratch folder may be gone by now.
         """
         try:
             return self._run(job, last=last)
@@ -239,6 +241,7 @@ class Runner(WarmProcesses):
         except Exception as error:
             if is_storage_error(error):
                 raise
+            check_parent()
             reason = str(error) if isinstance(error, SumoAdvError) else fault_sentence(error)
             return keep_failure(self._parts.staged, self._setup.runs, job, reason, traceback.format_exc())
 
@@ -269,6 +272,7 @@ class Runner(WarmProcesses):
                     return Done(job.id, None, again=run.reason, text=run.traceback or log)
             result = self._parts.write_run(folder, run, figure=self._setup.figures)
             row, size = self._finished(job, folder.stage, run, result, bank, log)
+            check_parent()
             folder.keep(force=True)
         return Done(job.id, row, size)
 

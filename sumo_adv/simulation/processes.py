@@ -101,6 +101,19 @@ def end_with(front: Connection) -> None:
     os.close(inlet)  # ``outlet`` stays open as long as this process or a fork of it lives
 
 
+def check_parent() -> None:
+    """Check that the process that started this one still runs.
+
+    A worker that outlives it for a moment finds its scratch folder removed. It must keep no result of that.
+
+    Raises:
+        EOFError: The parent has ended.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None and not parent.is_alive():
+        raise EOFError("The process that started this one has ended.")
+
+
 def repair_process() -> None:
     """Undo damage by third-party code that this process and its forks could not survive.
 
