@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import re
 import subprocess
 from dataclasses import dataclass, replace
@@ -112,10 +113,11 @@ def _outcome(run: Run) -> Attacked:
     )  # fmt: skip
 
 
-def farthest(one: dict[str, Track], other: dict[str, Track]) -> float:
-    """The largest distance [m] between tracks and the mirrored tracks of the same vehicles at the same time."""
+def farthest(one: dict[str, Track], other: dict[str, Track], seconds: float = math.inf) -> float:
+    """The largest distance [m] between tracks and the mirrored tracks of the same vehicles in their first seconds."""
     assert one.keys() == other.keys()
     return max(
         float(np.hypot(a.x[:n] - b.x[:n], a.y[:n] + b.y[:n]).max())
-        for a, b in ((one[k], other[k]) for k in one) for n in (min(len(a.time), len(b.time)),)
+        for a, b in ((one[k], other[k]) for k in one)
+        for n in (min(int((a.time <= a.time[0] + seconds).sum()), len(b.time)),)
     )  # fmt: skip

@@ -109,7 +109,7 @@ def test_a_planner_that_plans_in_each_fifth_step_has_the_mean_of_its_plans() -> 
     times = answer_times([replace(IDM, act=np.tile([0.06, 0.001, 0.001, 0.001, 0.001], 20))])
     assert times is not None and (times.count, times.plans) == (100, 20)
     assert (times.mean, times.median, times.p99, times.plan_mean) == pytest.approx((12.8, 1.0, 60.0, 60.0))
-    words = "An answer takes 13 ms on average (median 1 ms, 99 % within 60 ms)."
+    words = "An answer takes 12.8 ms on average (median 1 ms, 99 % within 60 ms)."
     assert times.words == f"{words} One in 5 is a plan, which takes 60 ms on average."
     assert answer_times([IDM]) is None
 

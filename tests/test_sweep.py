@@ -50,6 +50,12 @@ def test_points_that_do_not_halve_are_a_whole_grid() -> None:
     assert len(driver.measured) == 6
 
 
+def test_a_border_passes_over_points_without_a_result() -> None:
+    """Pass, pass, invalid, fail: half-way between 1 and 3. At the end, nothing follows the last invalid point."""
+    results = [PointResult.PASS, PointResult.PASS, PointResult.INVALID, PointResult.FAIL, PointResult.INVALID]
+    assert border({(k,): Point(result) for k, result in enumerate(results)}) == [(2.0,)]
+
+
 def test_the_document_has_the_border_in_numbers() -> None:
     """Gap from 5 to 20 m in 16 points: 1 m apart, so 5.5 steps are 10.5 m."""
     done = Sweep("cut", (Axis("gap", 5.0, 20.0, "m"),), 16, {"idm": swept(Driver(6), 1, 16)})

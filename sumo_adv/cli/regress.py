@@ -152,13 +152,13 @@ def _note(run: Path, answer: Reference) -> str:
     from sumo_adv.hunting.failures import is_near_touch
     from sumo_adv.report.read import read_outcome
 
-    notes = []
+    notes, why = [], answer.why.replace("Your driver", "It")
     if answer.why and answer.passed_by:
-        notes.append(f"passed by {', '.join(answer.passed_by)}, and not by careful: {answer.why.rstrip('.')}")
+        notes.append(f"passed by {', '.join(answer.passed_by)}, and not by careful: {why.rstrip('.')}")
     outcome = read_outcome(run).get("outcome") or {}
     delta_v = outcome.get("delta_v")
     if delta_v is not None and is_near_touch(delta_v, outcome.get("impact_speed")):
-        notes.append(f"a near-touch, with a delta-v of {delta_v:.2f} m/s")
+        notes.append(f"the attack that was found is a near-touch, with a delta-v of {delta_v:.2f} m/s")
     return f" ({'; '.join(notes)})" if notes else ""
 
 

@@ -257,11 +257,11 @@ class AnswerTimes:
     @property
     def words(self) -> str:
         """The times in words, on one line."""
-        quantiles = f"median {self.median:.2g} ms, 99 % within {self.p99:.2g} ms"
-        line = f"An answer takes {self.mean:.2g} ms on average ({quantiles})."
+        quantiles = f"median {self.median:.3g} ms, 99 % within {self.p99:.3g} ms"
+        line = f"An answer takes {self.mean:.3g} ms on average ({quantiles})."
         if self.plans > PLANNING_SHARE * self.count:
             return line
-        return f"{line} One in {self.count / self.plans:.3g} is a plan, which takes {self.plan_mean:.2g} ms on average."
+        return f"{line} One in {self.count / self.plans:.3g} is a plan, which takes {self.plan_mean:.3g} ms on average."
 
 
 def answer_times(drives: Sequence[UnattackedDrive]) -> AnswerTimes | None:

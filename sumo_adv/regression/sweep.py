@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import groupby, product
+from itertools import count, groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -270,7 +270,9 @@ def _around(index: Index, step: int) -> Iterator[Index]:
 
 
 def border(points: Points) -> list[tuple[float, ...]]:
-    """Return the places half-way between neighbours of which one passes and the other fails, along each axis.
+    """Return the places half-way between a point that passes and the next one that fails, along each axis.
+
+    Points between them that neither pass nor fail are passed over.
 
     Args:
         points: The results by index.
@@ -279,11 +281,15 @@ def border(points: Points) -> list[tuple[float, ...]]:
         The places, in steps of the grid.
     """
     places = []
+    judged = (PointResult.PASS, PointResult.FAIL)
     for index, point in points.items():
-        for axis in range(len(index)):
-            other = tuple(k + (n == axis) for n, k in enumerate(index))
-            if other in points and {point.result, points[other].result} == {PointResult.PASS, PointResult.FAIL}:
-                places.append(tuple(k + 0.5 * (n == axis) for n, k in enumerate(index)))
+        for axis in range(len(index)) if point.result in judged else ():
+            for far in count(1):
+                other = points.get(tuple(k + far * (n == axis) for n, k in enumerate(index)))
+                if other is None or other.result in judged:
+                    break
+            if other is not None and other.result != point.result:
+                places.append(tuple(k + 0.5 * far * (n == axis) for n, k in enumerate(index)))
     return places
 
 

@@ -110,7 +110,10 @@ def read_rows(file: Path) -> ResultsTable:
     """
     if (file.parent / HUNT).is_file():
         runs = file.parent / "failures"
-        raise UsageError(f"{file.parent} is the folder of a hunt: its pages are in report/; give {runs} for others.")
+        raise UsageError(
+            f"{file.parent} is the folder of a hunt: its pages are in report/, and those of its failures are made from "
+            f"{runs}. Hunts are not compared: keep their failures, and run 'sumo-adv regress' with each version."
+        )
     try:
         with file.open(newline="", encoding="utf-8") as text:
             reader = csv.DictReader(text)
