@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-BOUND = 200.0  # steps a second; the slowest row came to 284 to 371 on two cores of a shared machine
+BOUND = 200.0  # steps a second; the slowest row came to 284 to 432 on two cores of a shared machine
 FEW = {"proposals": 4, "delays": (0.0,)}  # little to plan: what happens once is uncertain by a tenth of itself
 ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "Ego-v0, nothing attacks": ("Ego-v0", {"attacker": None}),

@@ -270,7 +270,7 @@ def _die(words: Path) -> None:
 
 
 def test_a_worker_that_outlives_its_parent_learns_it(tmp_path: Path) -> None:
-    """Its scratch folder may be gone by then, so what it does is worth nothing."""
+    """Its scratch folder may be gone by then, so it must not keep a result."""
     words = tmp_path / "words"
     process = multiprocessing.get_context("spawn").Process(target=_die, args=(words,))
     process.start()
