@@ -22,11 +22,12 @@ from commonroad.common.file_reader import CommonRoadFileReader
 from commonroad.common.file_writer import CommonRoadFileWriter, OverwriteExistingFile
 from commonroad.planning.planning_problem import PlanningProblemSet
 from commonroad.scenario.obstacle import ObstacleType
+from shapely import LineString, Point
 from sumolib.net import readNet
 
 from sumo_adv.commonroad import Scene, Scenes
 from sumo_adv.datatypes import Floats, VehicleState
-from sumo_adv.drivers import Observation, Road, SpeedLimit
+from sumo_adv.drivers import Lane, Observation, Road, SpeedLimit
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder
 
@@ -69,6 +70,19 @@ def test_boundaries_are_half_a_width_from_the_centre(scene: Scene) -> None:
     assert inner.left_vertices.tolist() == [[0.0, -220.0], [0.0, -12.4]]
     assert inner.right_vertices.tolist() == [[3.2, -220.0], [3.2, -12.4]]
     assert oncoming.left_vertices[::-1].tolist() == inner.left_vertices.tolist()
+
+
+def test_points_that_the_line_does_not_need_are_left_out() -> None:
+    """Imported lanes have a point every 0.5 m. A bend of 50 m radius needs one every 2 m: 2 * 2 / 8 / 50 = 0.01 m."""
+    straight = np.column_stack([np.arange(0.0, 2000.5, 0.5), np.zeros(4001)])
+    turned = np.arange(0.0, 1.0, 0.01)
+    bend = 50.0 * np.column_stack([np.sin(turned), 1.0 - np.cos(turned)])
+    lanes = [Lane(name, line, 3.2, 30.0, "route") for name, line in (("straight", straight), ("bend", bend))]
+    one, two = Scenes().lanelet_network(lanes).lanelets
+    assert one.center_vertices.tolist() == [[0.0, 0.0], [2000.0, 0.0]]
+    assert 25 <= len(two.center_vertices) < 60
+    kept = LineString(two.center_vertices)
+    assert max(kept.distance(Point(each)) for each in bend) <= 0.01
 
 
 def test_lanelets_beside_each_other_say_in_which_direction(scene: Scene) -> None:

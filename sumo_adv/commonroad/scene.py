@@ -22,6 +22,7 @@ from commonroad.scenario.obstacle import DynamicObstacle, ObstacleType, StaticOb
 from commonroad.scenario.scenario import Scenario
 from commonroad.scenario.traffic_sign import TrafficSign, TrafficSignElement, TrafficSignIDZamunda
 from commonroad.scenario.trajectory import Trajectory
+from shapely import LineString
 
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers import Lane, Observation, Road, Vehicle
@@ -41,6 +42,7 @@ BEHIND_M = 15.0  # length of the reference path before the first point of the ob
 GOAL_LENGTH_M, GOAL_WIDTH_M = 10.0, 4.0  # size of the goal, which is at the end of the reference path
 LATEST_GOAL_STEP = 100_000  # last step at which the goal may be reached; a run ends before
 LIMIT_BRAKING_M_S2 = 2.0  # braking before a lower speed limit
+CENTRE_LINE_TOLERANCE_M = 0.01  # points this near to the line without them are left out; planners search all points
 SHUT_LINE_LENGTH_M = 0.5  # length of the obstacle behind a line at which the ego must wait
 OBSTACLE_TYPES = {
     "passenger": ObstacleType.CAR, "private": ObstacleType.CAR, "taxi": ObstacleType.TAXI,
@@ -201,11 +203,12 @@ class Scenes:
 
 
 def _lanelet(lane: Lane, numbers: Mapping[str, int]) -> Lanelet:
-    made = numbered_lane(numbers[lane.id], lane.centre, lane.width, junction=lane.junction, links=lane, numbers=numbers)
+    centre = np.array(LineString(lane.centre).simplify(CENTRE_LINE_TOLERANCE_M).coords)
+    made = numbered_lane(numbers[lane.id], centre, lane.width, junction=lane.junction, links=lane, numbers=numbers)
     left = made.opposite_left if made.beside_left is None else made.beside_left
     right = made.opposite_right if made.beside_right is None else made.beside_right
     return Lanelet(
-        made.left, np.array(lane.centre), made.right, made.number, list(made.entries), list(made.exits),
+        made.left, centre, made.right, made.number, list(made.entries), list(made.exits),
         left, None if left is None else left == made.beside_left,
         right, None if right is None else right == made.beside_right,
         lanelet_type={LaneletType.INTERSECTION if lane.junction else LaneletType.UNKNOWN},
