@@ -65,6 +65,19 @@ def test_an_expectation_is_met_or_not(suite: Path, expect: Any, measured: CaseMe
     assert judged(case_of(suite, **expect), measured, None).result is result
 
 
+def test_a_failed_case_says_whose_fault_it_is_and_whether_the_contact_is_a_near_touch(suite: Path) -> None:
+    case = case_of(suite, avoid="collision")
+
+    def why(**more: Any) -> str:
+        return judged(case, CaseMeasurements("one", "mine", level="valid", collided=True, **more), None).why
+
+    below = "; it must stay below collision."
+    assert why(delta_v=3.0, fault="ego") == f"The attack reaches valid (fault: ego){below}"
+    assert why(delta_v=0.4, fault="adversary") == f"The attack reaches valid (a near-touch, fault: adversary){below}"
+    # hitting a pedestrian never is negligible, however little it slows a car
+    assert why(delta_v=0.1, impact_speed=5.0, fault="ego") == f"The attack reaches valid (fault: ego){below}"
+
+
 def test_what_says_nothing_about_the_ego_has_a_result_of_its_own(suite: Path) -> None:
     case = case_of(suite, avoid="collision")
     behind = CaseMeasurements("one", "mine", collided=True, rear_end=True, min_ttc=0.0)

@@ -14,6 +14,7 @@ import typer
 from sumo_adv.cli import options as opt
 from sumo_adv.cli.groups import grouped, named_settings
 from sumo_adv.cli.options import ATTACK_PANEL, INPUT_PANEL, OUTPUT_PANEL, RUNNING_PANEL, SEARCH_PANEL, option
+from sumo_adv.cli.terminal import counted
 from sumo_adv.datatypes import Level
 from sumo_adv.simulation.warnings_log import kinds_below, said_of
 
@@ -181,16 +182,6 @@ class _Lines:
         self._timer.cancel()
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun.
-
-    Args:
-        number: The number.
-        noun: The noun in the singular.
-    """
-    return f"{number} {noun}{'s' * (number != 1)}"
-
-
 def progress_line(progress: HuntProgress) -> str:
     """Return the line that says how far a hunt is."""
     levels = ", ".join(f"{progress.count(level)} {level}" for level in (Level.SERIOUS, Level.STRICT, Level.VALID))
@@ -212,7 +203,7 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from sumo_adv.hunting.failures import NEAR_TOUCH_DELTA_V_M_S
+    from sumo_adv.metrics.severity import NEAR_TOUCH_DELTA_V_M_S
 
     ends = {
         "time": "The time is used up", "distinct": "Enough distinct failures were found", "stopped": "Stopped by Ctrl-C"

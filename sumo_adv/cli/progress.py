@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 import typer
 
 from sumo_adv.campaigns.results import EpisodeJob, Row, is_failed
-from sumo_adv.cli.terminal import clean
+from sumo_adv.cli.terminal import clean, counted
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
 from sumo_adv.drivers.timing import read_driver_time
 from sumo_adv.episode.order import rank
@@ -394,7 +394,7 @@ def line(what: str, value: Any) -> str:
     if what == "encounter":
         near = ", ".join(f"{i} ({r})" for i, r, _ in value.ranking)
         earlier = len(value.passed_over)
-        passed = f" after passing over {earlier} earlier encounter{'s' * (earlier != 1)}" if earlier else ""
+        passed = f" after passing over {counted(earlier, 'earlier encounter')}" if earlier else ""
         left_out = f"; only obstacles, because SUMO crashes on them: {', '.join(value.beside)}" if value.beside else ""
         return f"Encounter at {value.time:.1f} s{passed}: ego {value.ego}; near it {near}{left_out}"
     if what == "intents":

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sumo_adv.cli.options import words
+from sumo_adv.cli.terminal import counted
 from sumo_adv.config import Until
 from sumo_adv.errors import UsageError
 
@@ -149,7 +150,7 @@ def _expected(avoid: Until | None, min_ttc: float | None, *, no_worse: bool) -> 
 
 def _note(run: Path, answer: Reference) -> str:
     """Say that ``careful`` does not pass a case that is kept, and that the attack found a near-touch only."""
-    from sumo_adv.hunting.failures import is_near_touch
+    from sumo_adv.metrics.severity import is_near_touch
     from sumo_adv.report.read import read_outcome
 
     notes, why = [], answer.why.replace("Your driver", "It")
@@ -176,7 +177,7 @@ def _say(done: _Keeping, suite: Path, level: Until, other: str, *, as_json: bool
     more = [f"{len(again)} already there"] if again else []
     more += [f"{len(left)} left out (below {level}{other})"] if left else []
     more += [f"{len(failed)} left out (no reference driver passes; --all keeps them)"] if failed else []
-    typer.echo(f"{len(kept)} case{'s' * (len(kept) != 1)} into {suite}{''.join(', ' + each for each in more)}.")
+    typer.echo(f"{counted(len(kept), 'case')} into {suite}{''.join(', ' + each for each in more)}.")
 
 
 def _scenarios(given: str | None) -> tuple[ScenarioName, ...]:

@@ -11,6 +11,7 @@ import typer
 
 from sumo_adv.app import shipped_bank
 from sumo_adv.campaigns.results import OUTCOME_FILE, read_row
+from sumo_adv.cli.terminal import counted
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, sentences
 from sumo_adv.report.staging import RESULTS_FILE, staged
@@ -108,7 +109,8 @@ def _batch(
 def _words(made: Report) -> str:
     lacking = made.episodes - made.pages
     rest = f" {lacking} without a page: rerun the command to make more." if lacking and not made.damaged else ""
-    return f"Index: {made.index} ({made.episodes} episodes, {made.pages} replay pages, {made.made} made now).{rest}"
+    many = f"{counted(made.episodes, 'episode')}, {counted(made.pages, 'replay page')}, {made.made} made now"
+    return f"Index: {made.index} ({many}).{rest}"
 
 
 def _loose(folder: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""Clean what goes to a terminal.
+"""Word and clean what goes to a terminal.
 
 Names come from other people's files, and may hold sequences that control the terminal.
 """
@@ -40,6 +40,16 @@ class Cleaned:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun.
+
+    Args:
+        number: The number.
+        noun: The noun in the singular.
+    """
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def cleaned(stream: TextIO | None) -> Any:

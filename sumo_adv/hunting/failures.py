@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sumo_adv.datatypes import Level
+from sumo_adv.metrics.severity import is_near_touch
 from sumo_adv.report.coverage import SPEED_BANDS_M_S, band_of
 from sumo_adv.report.run_outcome import level_named
 from sumo_adv.scenario_names import COLUMNS as SCENARIO
@@ -18,19 +19,6 @@ FAILURE_COLUMNS = (
     "adversary", "preventable_by", "run", "cause", "cause_sentence", "robust", "humanlike", "fault", "red_light",
     "right_of_way", "overlap", "warning", "impact_speed", "near_touch", *SCENARIO,
 )  # fmt: skip
-NEAR_TOUCH_DELTA_V_M_S = 0.447
-"""Delta-v [m/s] (1 mph) below which a collision is a near-touch. Near-touches are listed last, apart from others."""
-
-
-def is_near_touch(delta_v: float, impact_speed: float | None) -> bool:
-    """Return whether a contact was negligible.
-
-    Args:
-        delta_v: The delta-v of the ego [m/s].
-        impact_speed: The speed at which a pedestrian, a cyclist or a motorcyclist is hit [m/s], which never is
-            negligible; None for another road user.
-    """
-    return impact_speed is None and delta_v < NEAR_TOUCH_DELTA_V_M_S
 
 
 class FailureCell(NamedTuple):

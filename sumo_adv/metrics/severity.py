@@ -41,6 +41,7 @@ UNPROTECTED_SLOPE_PER_KMH = 0.090
 TENTH_RISK_SPEED_KMH = {RoadUser.PEDESTRIAN: 29.0, RoadUser.CYCLIST: 44.0}  # the risk is 10 % at this impact speed
 MOTORCYCLIST_TENTH_RISK_SPEED_KMH = 48.0
 SERIOUS_DELTA_V_M_S = 2.24  # 5 mph
+NEAR_TOUCH_DELTA_V_M_S = 0.447  # 1 mph; a collision with a smaller delta-v of the ego is a near-touch
 MASS_KG_BY_LENGTH_M = (
     (1.0, 80.0),
     (2.05, 100.0),
@@ -107,6 +108,17 @@ def severity_of(delta_v: float) -> Severity:
         if delta_v < limit * MPH_M_S:
             return name
     return Severity.SEVERE
+
+
+def is_near_touch(delta_v: float, impact_speed: float | None) -> bool:
+    """Return whether a contact was negligible.
+
+    Args:
+        delta_v: The delta-v of the ego [m/s].
+        impact_speed: The speed at which a pedestrian, a cyclist or a motorcyclist is hit [m/s], which never is
+            negligible; None for another road user.
+    """
+    return impact_speed is None and delta_v < NEAR_TOUCH_DELTA_V_M_S
 
 
 def injury_risk(delta_v: float) -> float:

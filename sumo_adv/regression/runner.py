@@ -30,6 +30,7 @@ from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import is_storage_error, scratch_prefix
 from sumo_adv.metrics.contact import first_other_contact
+from sumo_adv.metrics.severity import is_near_touch
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.regression.attack import Arrived, attack
@@ -81,6 +82,8 @@ class CaseMeasurements:
         min_ttc: The minimum TTC [s].
         delta_v: The ego's delta-v [m/s].
         severity: The severity by the verdict.
+        impact_speed: The speed at which a pedestrian, a cyclist or a motorcyclist is hit [m/s].
+        fault: Who is at fault for the contact: ``ego`` or ``adversary``.
         contact_time: The time of the contact [s].
         preventable_by: The reference drivers that avoid the collision.
         touched: Another vehicle or object that the ego ran into.
@@ -109,6 +112,8 @@ class CaseMeasurements:
     min_ttc: float | None = None
     delta_v: float | None = None
     severity: str | None = None
+    impact_speed: float | None = None
+    fault: str | None = None
     contact_time: float | None = None
     preventable_by: tuple[str, ...] = ()
     touched: str | None = None
@@ -198,11 +203,20 @@ def _far(m: CaseMeasurements) -> str:
 def _broken_expectation(expect: Expectation, m: CaseMeasurements, before: CaseMeasurements | None) -> str:
     """Say which expectation does not hold; empty if all hold."""
     if expect.level is not None and Level[m.level.upper()] >= expect.level:
-        return f"The attack reaches {m.level}; it must stay below {expect.avoid}."
+        return f"The attack reaches {m.level}{_contact(m)}; it must stay below {expect.avoid}."
     counts = not m.rear_end and not m.failed_gates
     if expect.min_ttc is not None and counts and m.min_ttc is not None and m.min_ttc <= expect.min_ttc:
         return f"The minimum TTC is {m.min_ttc:.2f} s; it must stay above {expect.min_ttc:g} s."
     return _worse(m, before) if expect.no_worse else ""
+
+
+def _contact(m: CaseMeasurements) -> str:
+    """Say in brackets whether a contact is a near-touch, and who is at fault; empty without a contact."""
+    if not m.collided:
+        return ""
+    near = m.delta_v is not None and is_near_touch(m.delta_v, m.impact_speed)
+    words = [*(["a near-touch"] if near else []), *([f"fault: {m.fault}"] if m.fault else [])]
+    return f" ({', '.join(words)})" if words else ""
 
 
 def _worse(measured: CaseMeasurements, before: CaseMeasurements | None) -> str:
@@ -433,7 +447,8 @@ def measure(case: KeptCase, run: Run, arrived: Arrived, outcome: Mapping[str, An
     return CaseMeasurements(
         case.name, run.settings.ego, level=verdict["level"], collided=verdict["collided"],
         rear_end=verdict["rear_end"], failed_gates=tuple(verdict["failed_gates"]), min_ttc=verdict["min_ttc"],
-        delta_v=verdict["delta_v"], severity=verdict["severity"], contact_time=verdict["contact_time"],
+        delta_v=verdict["delta_v"], severity=verdict["severity"], impact_speed=verdict["impact_speed"],
+        fault=verdict["fault"], contact_time=verdict["contact_time"],
         preventable_by=tuple(verdict["preventable_by"] or ()),
         touched=None if ego is None else _touched(ego, tracks, best, encounter.time),
         planner=best.message if best.ending == "planner_failed" else "", cause=cause.get("kind"),

@@ -49,7 +49,7 @@ FORBIDDEN_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010
 LINE_COLUMNS = ("case", "result", "level", "min TTC", "delta-v", "progress", "jerk", "time", "baseline", "")
 BASELINE = LINE_COLUMNS.index("baseline")
 PROPERTIES = (
-    "level", "min_ttc", "min_distance", "delta_v", "progress", "jerk", "time_to_end", "attempts", "otherwise",
+    "level", "fault", "min_ttc", "min_distance", "delta_v", "progress", "jerk", "time_to_end", "attempts", "otherwise",
 )  # fmt: skip
 """The measurements that JUnit gets as properties of a test case."""
 
