@@ -53,6 +53,15 @@ SAMPLES: Mapping[str, Sequence[str]] = {
 """Arguments by name; each gets its own home and ``--out out``."""
 
 
+def own_memory(pid: int) -> float:
+    """Resident memory [MB] without pages of files, which the kernel drops and reads again; 0 after the end."""
+    try:
+        resident, shared = map(int, Path(f"/proc/{pid}/statm").read_text().split()[1:3])
+    except OSError:
+        return 0.0
+    return (resident - shared) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
 @dataclass(frozen=True)
 class Done:
     """A program that has ended."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from batch_samples import QUICK, clean, finished, patient, summary, table, thin_out, workers_of
-from cli_samples import ROOT, Program
+from cli_samples import ROOT, Program, own_memory
 from test_interrupt import alive, children_of
 
 INPUTS = ("motorway_cut_in_left", "neighbour_ahead_left", "follower_with_free_lane", "t_junction_left_into_stem")
@@ -22,25 +22,18 @@ SHORT = (*QUICK, "--out", "out", "--json")
 EPISODES = int(os.environ.get("SOAK_EPISODES", "1000"))
 KILLS = 20
 ROLES = ("front", "workers", "engines and sandboxes")
-FLAT = 0.05  # share of its memory by which a role may differ between the fifths of a run, the first one left out
+FLAT = 0.05  # share of its memory by which a role may grow after the first two fifths of a run
+ROW_MB = 0.006  # the front keeps the row of each finished episode; measured: 4.4 kB
 LOOK = 0.5  # s between looks at the memory
 
-Sizes = Mapping[tuple[str, int], float]  # resident memory [MB] by role and process
-
-
-def resident(pid: int) -> float:
-    """Resident memory of a process [MB]; 0 once it has ended."""
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-    except OSError:
-        return 0.0
+Sizes = Mapping[tuple[str, int], float]  # memory of its own [MB] by role and process
 
 
 def sizes_of(parent: int) -> Sizes:
     """The memory of a batch's front, of its workers and of all that these have started."""
     workers = set(workers_of(parent))
     roles = {pid: ROLES[0] if pid == parent else ROLES[1 if pid in workers else 2] for pid in children_of(parent)}
-    return {(role, pid): resident(pid) for pid, role in roles.items()}
+    return {(role, pid): own_memory(pid) for pid, role in roles.items()}
 
 
 def lasting(seen: Sequence[Sizes], role: str) -> list[float]:
@@ -100,7 +93,8 @@ def test_many_episodes_none_lost_and_the_same_on_one_worker(program: Program) ->
         for role in ROLES:
             parts = fifths(lasting(seen, role))
             print(f"{role}: {', '.join(f'{p:.1f}' for p in parts)} MB (medians of the fifths)")
-            assert max(parts[1:]) - min(parts[1:]) <= FLAT * parts[1], (role, parts)
+            rows = ROW_MB * EPISODES * 3 / 5 if role == ROLES[0] else 0.0
+            assert max(parts[2:]) - parts[1] <= FLAT * parts[1] + rows, (role, parts)
         counts = [len(sizes) for sizes in seen]
         print(f"processes: {fifths(counts)}, most {max(counts)}; all: most {max(sum(s.values()) for s in seen):.0f} MB")
         assert max(counts[len(counts) // 2 :]) <= max(counts[: len(counts) // 2]) + 1, "processes pile up"
