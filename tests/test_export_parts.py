@@ -6,9 +6,11 @@ import csv
 import gzip
 import io
 import math
+import pickle
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from xml.etree import ElementTree
@@ -26,6 +28,8 @@ from sumo_adv.cli.main import app
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.report.export import Variant
+from sumo_adv.report.export.commonroad import write_commonroad, write_scenarionet
+from sumo_adv.report.export.messages import write_osi
 from sumo_adv.report.export.openscenario import check_openscenario, entity_names, openscenario, reference_points
 from sumo_adv.report.export.piece import ExportedRun, read_piece
 from sumo_adv.report.export.sumo import fcd, front, table
@@ -87,6 +91,100 @@ def test_late_vehicles_come_and_leaving_ones_go() -> None:
     assert goes.find(".//DeleteEntityAction") is not None
     assert [e.find(".//FollowTrajectoryAction") for e in events(root, "once")] == [None, None]
     assert number(root.find("Storyboard/StopTrigger//SimulationTimeCondition"), "value") == 3.0
+
+
+# -- what a log sees: people that move, and objects that are out of sight for a while
+
+
+def gapped(id: str, role: Role, first: float, last: float, **size: float) -> Track:
+    """As ``straight``, without the states of 1.0 to 1.4 s."""
+    track = straight(id, role, first, last, **size)
+    return track.picked(np.flatnonzero((track.time < 0.95) | (track.time > 1.45)))
+
+
+STILL = replace(PARKED, id="box0", x=0.0 * PARKED.x + 130.0, speed=0.0 * PARKED.x)
+RIDER = straight("rider0", Role.OBSTACLE, 1.0, 3.0, length=1.8, width=0.8)  # first seen after 1 s
+UNSEEN = gapped("unseen0", Role.BACKGROUND, 0.0, 3.0)
+LOG = piece_of(EGO, BV, WALKER, PARKED, STILL, RIDER, UNSEEN)
+AFTER = [round(0.1 * k, 3) for k in (*range(10), *range(15, 31))]  # s: when the unseen one is seen
+
+
+def test_kinds_come_from_the_size_and_only_what_never_moves_is_static(tmp_path: Path) -> None:
+    """Recorded people, cyclists and objects have the same role, whether they move or not."""
+    write_commonroad(tmp_path, LOG)
+    root = ElementTree.parse(tmp_path / "scenario.xml").getroot()
+    assert [each.findtext("type") for each in root.iterfind("staticObstacle")] == ["parkedVehicle"]
+    kinds = [each.findtext("type") for each in root.iterfind("dynamicObstacle")]
+    assert kinds == ["car", "pedestrian", "unknown", "bicycle", "car", "car"]  # the last two are the unseen one
+    write_scenarionet(tmp_path, LOG)
+    (file,) = tmp_path.glob("sd_*.pkl")
+    tracks = pickle.loads(file.read_bytes())["tracks"]
+    assert [tracks[name]["type"] for name in ("pedestrian0", "rider0")] == ["PEDESTRIAN", "CYCLIST"]
+    assert tracks["rider0"]["state"]["valid"].tolist() == [False] * 10 + [True] * 21
+
+
+def test_osi_moves_what_moves(tmp_path: Path) -> None:
+    pytest.importorskip("osi3", reason="needs osi-python")
+    from osi3.osi_groundtruth_pb2 import GroundTruth
+
+    write_osi(tmp_path / "run.osi", LOG)
+    data, truths = (tmp_path / "run.osi").read_bytes(), []
+    while data:
+        length = int.from_bytes(data[:4], "little")
+        truths.append(GroundTruth.FromString(data[4 : 4 + length]))
+        data = data[4 + length :]
+    last = truths[-1]
+    assert [each.source_reference[0].identifier[0] for each in last.stationary_object] == ["box0"]
+    moving = {each.source_reference[0].identifier[0]: each for each in last.moving_object}
+    assert moving["pedestrian0"].type == moving["pedestrian0"].TYPE_PEDESTRIAN
+    assert moving["pedestrian0"].base.velocity.x == pytest.approx(10.0)
+    assert moving["rider0"].vehicle_classification.type == moving["rider0"].vehicle_classification.TYPE_BICYCLE
+    seen = {
+        round(truth.timestamp.seconds + truth.timestamp.nanos / 1e9, 3): each.base.position.x
+        for truth in truths for each in truth.moving_object if each.source_reference[0].identifier[0] == "unseen0"
+    }  # fmt: skip
+    assert list(seen) == AFTER
+    assert list(seen.values()) == pytest.approx([100.0 + 10.0 * time for time in AFTER])
+
+
+def test_states_after_a_gap_are_at_their_own_times(tmp_path: Path) -> None:
+    write_commonroad(tmp_path, LOG)
+    root = ElementTree.parse(tmp_path / "scenario.xml").getroot()
+    before, after = root.findall("dynamicObstacle")[-2:]
+    spans = [[int(time.text or "") for time in each.iterfind(".//time/exact")] for each in (before, after)]
+    assert spans == [list(range(10)), list(range(15, 31))]
+    assert float(after.findtext("initialState/position/point/x") or "") == pytest.approx(115.0)
+    write_scenarionet(tmp_path, LOG)
+    (file,) = tmp_path.glob("sd_*.pkl")
+    state = pickle.loads(file.read_bytes())["tracks"]["unseen0"]["state"]
+    assert [round(0.1 * k, 3) for k in np.flatnonzero(state["valid"])] == AFTER
+    assert state["position"][20, 0] == pytest.approx(120.0)
+    root = ElementTree.fromstring(openscenario(LOG))
+    check_openscenario(openscenario(LOG))
+    times = [number(e.find("StartTrigger//SimulationTimeCondition"), "value") for e in events(root, "unseen0")]
+    assert times == pytest.approx([0.0, 1.0, 1.5, 1.5])  # drives, goes, comes, drives
+
+
+def test_a_waymo_record_has_no_states_in_a_gap(tmp_path: Path) -> None:
+    pytest.importorskip("google.protobuf", reason="protobuf is not installed: pip install 'sumo-adv[womd]'")
+    from sumo_adv.report.export.womd import write_womd
+    from sumo_adv.womd.reader import read_records
+
+    write_womd(tmp_path / "run.tfrecord", LOG)  # begins at 0 s, as the takeover is at 1 s
+    (record,) = read_records(tmp_path / "run.tfrecord")
+    (track,) = [each for each in record.tracks if each.id == 1 + [t.id for t in LOG.tracks].index("unseen0")]
+    assert [round(0.1 * k, 3) for k in np.flatnonzero(track.valid)] == AFTER
+
+
+def test_a_file_for_a_free_ego_begins_when_all_that_it_places_are_there() -> None:
+    ego, bv = straight("ego", Role.EGO, 0.5, 3.0), straight("bv", Role.ADVERSARY, 0.3, 3.0, math.pi / 2)
+    text = openscenario(piece_of(WALKER, ego, bv), Variant.FREE_EGO)
+    check_openscenario(text)
+    root = ElementTree.fromstring(text)
+    starting = {p.get("entityRef") for p in root.iterfind("Storyboard/Init/Actions/Private")}
+    assert starting == {"pedestrian0", "ego", "bv"}
+    properties = {each.get("name"): each.get("value") for each in root.iterfind("FileHeader/Properties/Property")}
+    assert (properties["sumo_adv_begin"], properties["sumo_adv_takeover"]) == ("0.500", "1.000")
 
 
 def test_a_fault_of_ours_is_caught_by_the_schema() -> None:

@@ -33,6 +33,8 @@ from sumo_adv.report.export.piece import (
     map_lanes,
     metres,
     printable,
+    stands,
+    stretches,
 )
 
 COMMONROAD_SCENARIO_FILE, COMMONROAD_SOLUTION_FILE = "scenario.xml", "solution.xml"
@@ -64,9 +66,10 @@ def write_commonroad(folder: Path, piece: ExportedRun) -> None:
         UsageError: The network cannot be read.
     """
     lanes = map_lanes(piece)
-    problem = len(lanes) + len(piece.tracks) + 1
+    parts = [part for t in piece.tracks for part in ([t] if stands(t) else stretches(t, piece.step))]
+    problem = len(lanes) + len(parts) + 1
     for name, root in (
-        (COMMONROAD_SCENARIO_FILE, _scenario(piece, lanes, problem)),
+        (COMMONROAD_SCENARIO_FILE, _scenario(piece, lanes, parts, problem)),
         (COMMONROAD_SOLUTION_FILE, _solution(piece, problem)),
     ):
         indent(root)
@@ -80,7 +83,7 @@ def _benchmark_id(piece: ExportedRun) -> str:
     return f"ZAM_{''.join(w[:1].upper() + w[1:] for w in words) or 'Run'}-1_1_T-1"
 
 
-def _scenario(piece: ExportedRun, lanes: Sequence[MapLane], problem: int) -> Element:
+def _scenario(piece: ExportedRun, lanes: Sequence[MapLane], parts: Sequence[Track], problem: int) -> Element:
     root = Element(
         "commonRoad", commonRoadVersion="2020a", benchmarkID=_benchmark_id(piece), author=f"sumo_adv {__version__}",
         date=piece.written.strftime("%Y-%m-%d"), affiliation="", source="sumo_adv", timeStepSize=f"{piece.step:g}",
@@ -93,7 +96,7 @@ def _scenario(piece: ExportedRun, lanes: Sequence[MapLane], problem: int) -> Ele
         _add_lanelet(root, lane, limits[metres(lane.lane.speed)])
     for limit, number in limits.items():
         _add_limit(root, number, limit)
-    tracks = sorted(enumerate(piece.tracks, len(lanes) + 1), key=lambda pair: pair[1].role is not Role.OBSTACLE)
+    tracks = sorted(enumerate(parts, len(lanes) + 1), key=lambda pair: not stands(pair[1]))
     for number, track in tracks:  # static ones first
         if track.id != piece.ego:
             _add_obstacle(root, number, track, piece)
@@ -129,10 +132,10 @@ def _add_limit(root: Element, number: int, limit: str) -> None:
 
 
 def _add_obstacle(root: Element, number: int, track: Track, piece: ExportedRun) -> None:
-    static = track.role is Role.OBSTACLE
+    static, category = stands(track), kind(track)
     root.append(Comment(f" {number}: {_safe(track)}, {track.role} "))
     obstacle = SubElement(root, "staticObstacle" if static else "dynamicObstacle", id=str(number))
-    SubElement(obstacle, "type").text = "parkedVehicle" if static else kind(track)
+    SubElement(obstacle, "type").text = "parkedVehicle" if static else "unknown" if category == "obstacle" else category
     rectangle = SubElement(SubElement(obstacle, "shape"), "rectangle")
     _add_texts(rectangle, length=metres(track.length), width=metres(track.width))
     steps = _steps(track, piece)
@@ -257,8 +260,7 @@ def _description(piece: ExportedRun) -> dict[str, Any]:
 
 def _track(track: Track, piece: ExportedRun, length: int) -> dict[str, Any]:
     """Describe a track by states over all steps; they are zero and not valid while the vehicle does not exist."""
-    first, category = round((float(track.time[0]) - piece.begin) / piece.step), kind(track)
-    at = slice(first, first + len(track.time))
+    category, at = kind(track), _steps(track, piece)
 
     def filled(*columns: Any) -> Any:
         values = np.zeros((length, len(columns)), np.float64)

@@ -22,7 +22,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.drivers.protocol import DriverInside
-from sumo_adv.report.export.piece import HEIGHT_M, ExportedRun, height_of, kind, map_lanes
+from sumo_adv.report.export.piece import HEIGHT_M, ExportedRun, height_of, kind, map_lanes, stands, state_at
 
 FRAME = "world"
 ROLE_RGB = {
@@ -67,7 +67,7 @@ def write_mcap(target: Path, piece: ExportedRun) -> None:
         for step in range(round((piece.end - piece.begin) / piece.step) + 1):
             time = piece.begin + step * piece.step
             at = nanoseconds(time)
-            there = [(t, k) for t in piece.tracks if (k := _index(t, time, piece.step)) is not None]
+            there = [(t, k) for t in piece.tracks if (k := state_at(t, time, piece.step)) is not None]
             vehicles.log(_scene(there, time, piece.step), log_time=at)
             poses = {t.id: _pose(t, k) for t, k in there}
             if piece.ego in poses:
@@ -91,12 +91,6 @@ def _stamp(time: float) -> Any:
 
     sec, nsec = divmod(nanoseconds(time), NANOSECONDS_PER_S)
     return Timestamp(sec=sec, nsec=nsec)
-
-
-def _index(track: Track, time: float, step: float) -> int | None:
-    """Return the index of the track's state at a time; None if there is no state."""
-    k = round((time - float(track.time[0])) / step)
-    return k if 0 <= k < len(track.time) else None
 
 
 def _pose(track: Track, k: int, z: float = 0.0) -> Any:
@@ -198,7 +192,7 @@ def _ground_truth(piece: ExportedRun, step: int) -> Any:
     for number, track in enumerate(piece.tracks, 1):
         if track.id == piece.ego:
             truth.host_vehicle_id.value = number
-        if (k := _index(track, time, piece.step)) is not None:
+        if (k := state_at(track, time, piece.step)) is not None:
             _add_object(truth, number, track, k)
     if step == 0:
         _add_lanes(truth, piece)
@@ -206,7 +200,7 @@ def _ground_truth(piece: ExportedRun, step: int) -> Any:
 
 
 def _add_object(truth: Any, number: int, track: Track, k: int) -> None:
-    still = track.role is Role.OBSTACLE
+    still = stands(track)
     made = (truth.stationary_object if still else truth.moving_object).add()
     made.id.value = number
     reference = made.source_reference.add(type="sumo_adv")
@@ -225,6 +219,8 @@ def _add_object(truth: Any, number: int, track: Track, k: int) -> None:
         vector.x, vector.y, vector.z = value * math.cos(heading), value * math.sin(heading), 0.0
     if category == "pedestrian":
         made.type = made.TYPE_PEDESTRIAN
+    elif category == "obstacle":
+        made.type = made.TYPE_OTHER
     else:
         made.type = made.TYPE_VEHICLE
         made.vehicle_classification.type = getattr(made.vehicle_classification, OSI_TYPES[category])

@@ -39,6 +39,7 @@ from sumo_adv.report.export.piece import (
     kind,
     metres,
     printable,
+    stretches,
 )
 from sumo_adv.report.page_road import network
 from sumo_adv.simulation.network import is_left_hand
@@ -81,10 +82,10 @@ def write_openscenario(folder: Path, piece: ExportedRun, netconvert: Path, varia
 def openscenario(piece: ExportedRun, variant: Variant = Variant.REPLAY) -> str:
     """Make the document.
 
-    With a free ego, the file drives all vehicles but the ego, which starts as recorded and is then the player's.
-    Adversaries follow their recording up to the takeover, and attack from then on. With a free ego, the attack begins
-    up to ``START_SLACK_S`` earlier if the ego is as near to the collider as at the recorded takeover. All adversaries
-    begin together.
+    With a free ego, the file drives all vehicles but the ego, which starts as recorded and is then the player's. The
+    file begins when the ego and all adversaries exist. Adversaries follow their recording up to the takeover, and
+    attack from then on, up to ``START_SLACK_S`` earlier if the ego is as near to the collider as at the recorded
+    takeover. All adversaries begin together.
 
     Args:
         piece: What is exported.
@@ -98,6 +99,8 @@ def openscenario(piece: ExportedRun, variant: Variant = Variant.REPLAY) -> str:
     """
     if variant is Variant.FREE_EGO and (piece.adversary is None or piece.takeover is None):
         raise UsageError("A free ego needs an adversary: export a run that was attacked, without --unattacked.")
+    if variant is Variant.FREE_EGO:
+        piece = _from_all_there(piece)
     heights = network(piece.network).heights
     if heights is not None and heights.inferred:  # netconvert's OpenDRIVE lacks inferred heights
         piece = replace(piece, tracks=tuple(replace(track, z=0.0) for track in piece.tracks))
@@ -121,6 +124,13 @@ def openscenario(piece: ExportedRun, variant: Variant = Variant.REPLAY) -> str:
     _add_storyboard(root, piece, variant, names)
     indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode") + "\n"
+
+
+def _from_all_there(piece: ExportedRun) -> ExportedRun:
+    """Cut a piece so that it begins when the ego and all adversaries exist, since a free ego is only placed at 0."""
+    begin = max(float(t.time[0]) for t in piece.tracks if t.id == piece.ego or t.role is Role.ADVERSARY)
+    parts = (track.between(begin, piece.end) for track in piece.tracks)
+    return replace(piece, begin=begin, tracks=tuple(part for part in parts if len(part.time)))
 
 
 # -- entities ---------------------------------------------------------------------------------------------------------
@@ -220,23 +230,26 @@ def _add_storyboard(parent: Element, piece: ExportedRun, variant: Variant, names
 
 
 def _add_recorded(act: Element, piece: ExportedRun, track: Track, name: str) -> None:
-    """Add a vehicle's recording: it appears, follows its trajectory and disappears."""
-    begin, end = float(track.time[0]) - piece.begin, float(track.time[-1]) - piece.begin
+    """Add a vehicle's recording: it appears, follows its trajectory and disappears, once for each stretch."""
     maneuver = _add_maneuver(act, name)
-    if _is_late(track, piece):
-        event = _add_event(maneuver, f"{name} comes")
-        entity = SubElement(_add_action(event, f"{name} is added", "GlobalAction"), "EntityAction", entityRef=name)
-        _add_position(SubElement(entity, "AddEntityAction"), track, 0)
-        _add_time_trigger(event, "StartTrigger", begin, f"{name} comes")
-    if len(track.time) > 1:
-        event = _add_event(maneuver, f"{name} drives")
-        _add_following(event, f"{name} follows", track, track.time - piece.begin, absolute=True)
-        _add_time_trigger(event, "StartTrigger", begin, f"{name} drives")
-    if track.time[-1] < piece.end - piece.step / 2:
-        event = _add_event(maneuver, f"{name} goes")
-        entity = SubElement(_add_action(event, f"{name} is deleted", "GlobalAction"), "EntityAction", entityRef=name)
-        SubElement(entity, "DeleteEntityAction")
-        _add_time_trigger(event, "StartTrigger", end + piece.step, f"{name} goes")
+    for number, part in enumerate(stretches(track, piece.step), 1):
+        again = f" ({number})" if number > 1 else ""
+        begin, end = float(part.time[0]) - piece.begin, float(part.time[-1]) - piece.begin
+        if _is_late(part, piece):
+            event = _add_event(maneuver, f"{name} comes{again}")
+            added = _add_action(event, f"{name} is added{again}", "GlobalAction")
+            entity = SubElement(added, "EntityAction", entityRef=name)
+            _add_position(SubElement(entity, "AddEntityAction"), part, 0)
+            _add_time_trigger(event, "StartTrigger", begin, f"{name} comes{again}")
+        if len(part.time) > 1:
+            event = _add_event(maneuver, f"{name} drives{again}")
+            _add_following(event, f"{name} follows{again}", part, part.time - piece.begin, absolute=True)
+            _add_time_trigger(event, "StartTrigger", begin, f"{name} drives{again}")
+        if part.time[-1] < piece.end - piece.step / 2:
+            event = _add_event(maneuver, f"{name} goes{again}")
+            deleted = _add_action(event, f"{name} is deleted{again}", "GlobalAction")
+            SubElement(SubElement(deleted, "EntityAction", entityRef=name), "DeleteEntityAction")
+            _add_time_trigger(event, "StartTrigger", end + piece.step, f"{name} goes{again}")
 
 
 def _add_attacker(act: Element, piece: ExportedRun, track: Track, names: Names) -> None:

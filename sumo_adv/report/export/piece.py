@@ -28,6 +28,7 @@ HEIGHT_M = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obsta
 WHEELBASE_SHARE, DEFAULT_STEERING_RAD = 0.6, 0.6  # share of the length; maximum steering angle
 MIN_TRUCK_LENGTH_M, MIN_CAR_WIDTH_M = 6.5, 1.0
 POINT_SPACING_M = 0.5  # distance between points of a spaced line
+STANDING_M = 0.01  # an obstacle that stays within this distance stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +143,45 @@ def read_piece(
 
 def kind(track: Track) -> str:
     """Classify a vehicle by role and size as car, truck, bicycle, pedestrian or obstacle."""
-    if road_user(track) is RoadUser.PEDESTRIAN:
-        return "pedestrian"
+    user = road_user(track)
+    if user is not RoadUser.VEHICLE:
+        return "pedestrian" if user is RoadUser.PEDESTRIAN else "bicycle"
     if track.role is Role.OBSTACLE:
         return "obstacle"
     if track.width < MIN_CAR_WIDTH_M:
         return "bicycle"
     return "truck" if track.length >= MIN_TRUCK_LENGTH_M else "car"
+
+
+def stands(track: Track) -> bool:
+    """Return whether a track is an object that never moves. Pedestrians and cyclists may, so they are none."""
+    return kind(track) == "obstacle" and bool(max(np.ptp(track.x), np.ptp(track.y)) <= STANDING_M)
+
+
+def stretches(track: Track, step: float) -> list[Track]:
+    """Split a track where states are missing, as in a log that lost sight of the object.
+
+    Args:
+        track: The track.
+        step: The step length [s].
+
+    Returns:
+        The parts without a gap, in order of time; the track itself if it has none.
+    """
+    breaks = np.flatnonzero(np.diff(track.time) > 1.5 * step) + 1
+    return [track.picked(part) for part in np.split(np.arange(len(track.time)), breaks)] if len(breaks) else [track]
+
+
+def state_at(track: Track, time: float, step: float) -> int | None:
+    """Return the index of the track's state at a time; None if it has no state within half a step.
+
+    Args:
+        track: The track.
+        time: The time [s].
+        step: The step length [s].
+    """
+    k = int(np.searchsorted(track.time, time - step / 2))
+    return k if k < len(track.time) and track.time[k] < time + step / 2 else None
 
 
 def height_of(track: Track, k: int) -> float:

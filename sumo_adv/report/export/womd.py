@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import MPH_M_S, Floats, Role, Track
+from sumo_adv.datatypes import MPH_M_S, Bools, Floats, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.piece import HEIGHT_M, ExportedRun, MapLane, kind, map_lanes, spaced
 from sumo_adv.report.page_road import network
@@ -70,10 +70,11 @@ def _scenario(piece: ExportedRun, record: Any | None) -> Any:
     known = {} if record is None else {track.id: track.object_type for track in record.tracks}
     numbers = track_numbers(piece, known)
     heights = None if record is None else heights_of(record)
-    shown = [t for t in piece.tracks if _valid(t, time).any()]
+    shown = [t for t in piece.tracks if _valid(t, time, piece.step).any()]
     for index, track in enumerate(shown):
         number = numbers[track.id]
-        _add_track(message, track, number, known.get(number, OBJECT_TYPES[kind(track)]), time, heights)
+        object_type = known.get(number, OBJECT_TYPES[kind(track)])
+        _add_track(message, track, number, object_type, time, _valid(track, time, piece.step), heights)
         if track.id == piece.ego:
             message.sdc_track_index = index
         elif track.role is Role.ADVERSARY:
@@ -126,23 +127,27 @@ def track_numbers(piece: ExportedRun, taken: Collection[int]) -> dict[str, int]:
     return numbers | {name: k for k, name in enumerate(others, 1 + max({*numbers.values(), *taken}, default=0))}
 
 
-def _valid(track: Track, time: Floats) -> Any:
-    """Return at which times a track has states."""
-    return (time > track.time[0] - 1e-3) & (time < track.time[-1] + 1e-3)
+def _valid(track: Track, time: Floats, step: float) -> Bools:
+    """Return at which times a track has states or is between two states that follow each other."""
+    after = np.searchsorted(track.time, time - CLOCK_STEP_S)  # the first state that is not before each time
+    low, high = track.time[np.maximum(after - 1, 0)], track.time[np.minimum(after, len(track.time) - 1)]
+    at_state = np.abs(high - time) < CLOCK_STEP_S
+    between = (low < time) & (time < high) & (high - low < 1.5 * step)
+    return np.asarray(at_state | between)
 
 
 def _add_track(
-    message: Any, track: Track, number: int, object_type: int, time: Floats, heights: Heights | None
+    message: Any, track: Track, number: int, object_type: int, time: Floats, valid: Bools, heights: Heights | None
 ) -> None:
-    """Add a track: its states at the record's times are interpolated, and not valid outside the run's states."""
+    """Add a track: its states at the record's times are interpolated, and not valid where the run has none."""
     height = HEIGHT_M[kind(track)]
     made = message.tracks.add(id=number, object_type=object_type)
     x, y, speed = (np.interp(time, track.time, v) for v in (track.x, track.y, track.speed))
     heading = np.interp(time, track.time, np.unwrap(track.heading))
     own = np.interp(time, track.time, np.broadcast_to(track.z, track.time.shape))
     z = height / 2 + (own if heights is None else heights(x, y))
-    for k, valid in enumerate(_valid(track, time).tolist()):
-        if not valid:
+    for k, is_valid in enumerate(valid.tolist()):
+        if not is_valid:
             made.states.add(valid=False)
             continue
         made.states.add(
