@@ -63,6 +63,18 @@ class FarStoppingEgo(CalmEgo):
         return LaneSpeed(lane=None, speed=max(0.0, seen.ego.speed - 6.0 * seen.dt)) if near else None
 
 
+class BreakingDownEgo(CalmEgo):
+    """Drives like SUMO until a vehicle is within 25 m, and then raises."""
+
+    name = "breaking_down"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Fail in the attack."""
+        if any((o.x - seen.ego.x) ** 2 + (o.y - seen.ego.y) ** 2 < 25.0**2 for o in seen.others):
+            raise RuntimeError("the driver lost its head")
+        return None
+
+
 class BrokenEgo(CalmEgo):
     """Raises as soon as it drives."""
 

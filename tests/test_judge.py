@@ -218,6 +218,16 @@ def test_a_vehicle_that_came_over_and_waits_there_is_at_fault() -> None:
     assert fault(cruise("ego", 0.0, 0.0, 10.0), stopped, 9.5) == "adversary"
 
 
+@pytest.mark.parametrize("speed", [0.0, 4.0])
+def test_a_slow_ego_in_its_lane_is_not_at_fault_for_a_vehicle_that_comes_over(speed: float) -> None:
+    """The adversary drives at 10 m/s from x = 60 m and comes 3.2 m over from 1.1 s to 4.1 s. The boxes of 5 m meet
+    after (60 - 5) / (10 + speed) s: 5.5 s if the ego stands, 3.93 s at 4 m/s, when it has driven 16 m."""
+    y = drift("adversary", 0, 3.2, 10, 1.1, 3.0, 0.0).y
+    heading = np.unwrap(np.arctan2(np.gradient(y, TIME), np.full(len(TIME), -10.0)))
+    over = car("adversary", 60.0 - 10.0 * TIME, y, 10.0, heading)
+    assert fault(cruise("ego", 0.0, 0.0, speed), over, 55.0 / (10.0 + speed)) == "adversary"
+
+
 def test_a_vehicle_that_turned_across_from_a_side_road_is_at_fault() -> None:
     """The adversary comes from the south and turns left into the ego's lane, on a radius of 10 m. It has turned after
     4.07 s at x = 47.5 m, and the fronts meet at 4.15 s and about 44.1 m: 41.5 + 2.5 m, and 46.7 - 2.5 m."""

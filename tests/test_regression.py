@@ -85,6 +85,10 @@ def test_what_says_nothing_about_the_ego_has_a_result_of_its_own(suite: Path) ->
     assert "ego's back" in judged(case, behind, None).why
     flown = CaseMeasurements("one", "mine", collided=True, failed_gates=("off_road",), min_ttc=0.0)
     assert judged(case, flown, None).result is CaseResult.INVALID
+    over = CaseMeasurements("one", "mine", failed_gates=("off_road",), min_ttc=0.2)  # near, and as no car can drive
+    assert judged(case_of(suite, avoid="critical"), over, None).result is CaseResult.INVALID
+    assert judged(case_of(suite, min_ttc=1.0), over, None).result is CaseResult.INVALID
+    assert judged(case, over, None).result is CaseResult.PASS  # whatever the adversary did, there was no contact
     assert judged(case, CaseMeasurements("one", "mine", planner="It loops."), None).result is CaseResult.INVALID
     assert (
         judged(case, CaseMeasurements("one", "mine", broken="Gone.", missed=True), None).result
@@ -115,6 +119,8 @@ def test_no_worse_than_a_baseline_allows_for_a_step_of_ttc_and_a_mile_an_hour(su
     )  # 0.4 and 0.5 m/s harder
     assert (result(near(1.95), CALM), result(near(1.85), CALM)) == (CaseResult.PASS, CaseResult.FAIL)
     assert result(near(4.5), near(None)) is CaseResult.PASS  # above 4 s nothing is compared
+    flown = CaseMeasurements("one", "mine", collided=True, failed_gates=("off_road",), min_ttc=0.0, delta_v=6.0)
+    assert result(HIT, flown) is CaseResult.FAIL  # the baseline was hit by an impossible adversary
     missed = CaseMeasurements("one", "mine", broken="Gone.", missed=True)
     assert (result(HIT, missed), result(CALM, missed)) == (CaseResult.FAIL, CaseResult.PASS)
 
@@ -249,6 +255,13 @@ def test_a_driver_that_breaks_is_an_error_of_its_case(program: Program, suite: P
     assert "the driver fell asleep" in done.out
     (test,) = ElementTree.parse(program.folder / "out.xml").iter("testcase")
     assert test.find("error") is not None
+
+
+def test_a_driver_that_breaks_in_the_attack_is_an_error_and_no_case_that_was_not_reached(
+    program: Program, suite: Path
+) -> None:
+    done = regress(program, suite, "--ego", "regression_samples:BreakingDownEgo", "--allow-untested")
+    assert done.status == 3 and "0 pass, 1 error." in done.out and "the driver lost its head" in done.out
 
 
 def test_a_hostile_planner_stays_in_the_sandbox(program: Program) -> None:

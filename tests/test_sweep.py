@@ -74,7 +74,7 @@ def test_the_lines_say_the_share_of_passes_and_the_border() -> None:
     gap, slower = Axis("gap", 5.0, 9.0, "m"), Axis("slower", 0.0, 4.0, "m/s")
     one = Sweep("cut", (gap,), 5, {"idm": swept(Driver(3), 1, 5)})
     assert one.lines(["gap"]) == [
-        "idm: 2 pass, 3 fail, 0 invalid, 0 no encounter (40 % pass); 5 of 5 points were measured.",
+        "idm: 2 pass, 3 fail, 0 invalid, 0 no encounter, 0 error (40 % pass); 5 of 5 points were measured.",
         "  border at gap = 7.5 m",
     ]
     two = Sweep("cut", (gap, slower), 5, {"idm": swept(Driver(3), 2, 5)})

@@ -59,7 +59,7 @@ def fault(ego: Track, adversary: Track, contact_time: float) -> str:
 
     nuPlan blames an ego that is hit head-on in its own lane, because the ego meets the other vehicle with its front
     bumper. In a head-on collision, this function blames the vehicle that came further over to the other's side on its
-    last ``LOOK_BACK_DISTANCE_M``, even if it then stopped. The road is assumed to be the arc that the vehicles'
+    own last ``LOOK_BACK_DISTANCE_M``, even if it then stopped. The road is assumed to be the arc that the vehicles'
     directions at the start of this stretch span.
 
     Args:
@@ -74,12 +74,17 @@ def fault(ego: Track, adversary: Track, contact_time: float) -> str:
     turn = np.abs(wrap_below_pi(b.heading[-1:] - a.heading[-1:]))
     if len(a.time) < 2 or len(b.time) < 2 or turn[0] < OPPOSITE_DIRECTION:
         return nuplan_fault(ego, adversary, contact_time)
-    way = min(LOOK_BACK_DISTANCE_M, _to_go(a)[0], _to_go(b)[0])
-    a, b = (t.between(float(t.time[_to_go(t) >= way][-1]), np.inf) for t in (a, b))
+    a, b = map(_last_way, (a, b))
     angle = float(wrap_below_pi(b.heading[:1] - np.pi - a.heading[:1])[0])
     angle = angle if abs(angle) < MAX_START_ANGLE_RAD else 0.0
     curvature = angle / max(_to_go(a)[0] + _to_go(b)[0], MIN_SHARED_PATH_M)
     return ADVERSARY_PARTY if _came_over(b, a, -curvature) > _came_over(a, b, curvature) else EGO_PARTY
+
+
+def _last_way(track: Track) -> Track:
+    """Return the last ``LOOK_BACK_DISTANCE_M`` of a track, or all of a shorter one."""
+    to_go = _to_go(track)
+    return track.between(float(track.time[to_go >= min(LOOK_BACK_DISTANCE_M, to_go[0])][-1]), np.inf)
 
 
 def _to_go(track: Track) -> Floats:

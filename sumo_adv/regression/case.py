@@ -62,6 +62,11 @@ class Expectation(_Table):
     def level(self) -> Level | None:
         return None if self.avoid is None else Level[self.avoid.upper()]
 
+    @property
+    def of_near_misses(self) -> bool:
+        """Whether an attempt without a contact can break it."""
+        return self.min_ttc is not None or self.level is Level.CRITICAL
+
 
 class _Member(_Table):
     adversary: str

@@ -86,7 +86,7 @@ class CaseMeasurements:
         fault: Who is at fault for the contact: ``ego`` or ``adversary``.
         contact_time: The time of the contact [s].
         preventable_by: The reference drivers that avoid the collision.
-        touched: Another vehicle or object that the ego ran into.
+        touched: Another vehicle or object that the ego ran into, in any attempt.
         planner: Why the adversary's planner failed; empty if it did not.
         seconds: The time that the case took [s].
         cause: The kind of cause of a contact or near miss.
@@ -187,6 +187,9 @@ def judged(case: KeptCase, measured: CaseMeasurements, before: CaseMeasurements 
         )
     remark = "The adversary runs into the ego's back, which is not held against the ego." if m.rear_end else ""
     why = _broken_expectation(case.expect, m, before)
+    if not why and m.failed_gates and case.expect.of_near_misses:
+        gates = ", ".join(m.failed_gates)
+        return JudgedCase(m, CaseResult.INVALID, f"No car can drive as the adversary does ({gates}).", before)
     if not why and not m.near and case.level >= Level.COLLISION:
         return JudgedCase(m, CaseResult.NOT_REACHED, _far(m), before)
     return JudgedCase(m, CaseResult.FAIL if why else CaseResult.PASS, why or remark, before)
@@ -222,10 +225,10 @@ def _contact(m: CaseMeasurements) -> str:
 def _worse(measured: CaseMeasurements, before: CaseMeasurements | None) -> str:
     """Say why a case is worse than in the baseline; empty if it is not.
 
-    A baseline that failed or missed the encounter counts as not hit.
+    A baseline that failed, missed the encounter or had an impossible adversary counts as not hit.
     """
     before = before or CaseMeasurements(measured.case, "")
-    hit, hit_before = (m.collided and not m.rear_end for m in (measured, before))
+    hit, hit_before = (m.collided and not m.rear_end and not m.failed_gates for m in (measured, before))
     if hit and not hit_before:
         return "The ego is hit, and was not in the baseline."
     if hit:
@@ -439,18 +442,21 @@ def measure(case: KeptCase, run: Run, arrived: Arrived, outcome: Mapping[str, An
     verdict, record = outcome["outcome"], run.best
     best = None if record is None else record.best
     assert record is not None and best is not None
-    encounter = record.found
+    crashed = next((attempt for attempt in record.attempts if attempt.ending == "crashed"), None)
+    if crashed is not None:
+        return CaseMeasurements(case.name, run.settings.ego, broken=crashed.message)
     cause = verdict["cause"] or {}
-    tracks = _tracks(record, best, run.settings.step_length)
-    ego = tracks.get(encounter.ego)
+    step = run.settings.step_length
+    ego = _tracks(record, best, step).get(record.found.ego)
     drive = _Drive() if ego is None else _drive(ego, best)
+    touched = (_touched(record, attempt, step) for attempt in record.attempts)
     return CaseMeasurements(
         case.name, run.settings.ego, level=verdict["level"], collided=verdict["collided"],
         rear_end=verdict["rear_end"], failed_gates=tuple(verdict["failed_gates"]), min_ttc=verdict["min_ttc"],
         delta_v=verdict["delta_v"], severity=verdict["severity"], impact_speed=verdict["impact_speed"],
         fault=verdict["fault"], contact_time=verdict["contact_time"],
         preventable_by=tuple(verdict["preventable_by"] or ()),
-        touched=None if ego is None else _touched(ego, tracks, best, encounter.time),
+        touched=next(filter(None, touched), None),
         planner=best.message if best.ending == "planner_failed" else "", cause=cause.get("kind"),
         cause_sentence=cause.get("sentence", ""), arrived=arrived.situation, otherwise=arrived.otherwise,
         attempts=len(record.attempts), near=any(map(_near, record.attempts)), min_distance=verdict["min_distance"],
@@ -464,11 +470,11 @@ def _near(attempt: Attempt) -> bool:
     return v.collided or v.min_distance <= CONCERN_DISTANCE_M or v.min_ttc <= CONCERN_TTC_S
 
 
-def _tracks(record: EncounterRecord, best: Attempt, step: float) -> dict[str, Track]:
-    """Return the motions in the attempt that counts, by id, from the trigger to the contact or the end."""
+def _tracks(record: EncounterRecord, attempt: Attempt, step: float) -> dict[str, Track]:
+    """Return the motions in an attempt, by id, from the trigger to the contact or the end."""
     assert record.prefix is not None
-    snapshots = [*record.prefix.snapshots[-1:], *record.results[best.index].snapshots]
-    end = np.inf if best.verdict.contact_time is None else best.verdict.contact_time
+    snapshots = [*record.prefix.snapshots[-1:], *record.results[attempt.index].snapshots]
+    end = np.inf if attempt.verdict.contact_time is None else attempt.verdict.contact_time
     tracks = tracks_of(snapshots, all_sizes(record), {}, step)
     return {t.id: t.between(-np.inf, end) for t in tracks}
 
@@ -491,8 +497,10 @@ def _drive(ego: Track, best: Attempt) -> _Drive:
     return _Drive(round(progress, 2), round(jerk, 2), round(float(t.time[-1] - t.time[0]), 2))
 
 
-def _touched(ego: Track, tracks: Mapping[str, Track], best: Attempt, start: float) -> str | None:
-    """Return another vehicle or object that the ego ran into before the end of the attempt."""
-    others = [t for name, t in tracks.items() if name not in (ego.id, best.proposal.bv)]
-    touched = first_other_contact(ego, others, start)
+def _touched(record: EncounterRecord, attempt: Attempt, step: float) -> str | None:
+    """Return another vehicle or object that the ego ran into before the end of an attempt."""
+    tracks = _tracks(record, attempt, step)
+    ego = tracks.pop(record.found.ego, None)
+    others = [track for name, track in tracks.items() if name != attempt.proposal.bv]
+    touched = None if ego is None else first_other_contact(ego, others, record.found.time)
     return None if touched is None else touched[0]

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.config import MAX_ATTACK_DELAY_S, forget_environment
-from sumo_adv.datatypes import Floats, Level
+from sumo_adv.datatypes import Attempt, Floats, Level
 from sumo_adv.episode.assessment import attempt_of, checked, runner_of
 from sumo_adv.episode.encounter_finder import EncounterFinder
 from sumo_adv.episode.warm import WarmProcesses
@@ -45,6 +45,7 @@ class PointResult(StrEnum):
     FAIL = "fail"
     INVALID = "invalid"  # the adversary could not move like that, or its planner failed
     NO_ENCOUNTER = "no encounter"  # the ego never reached the trigger's situation
+    ERROR = "error"  # the ego's driver or the simulation failed
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,16 +227,19 @@ class SweepRunner(WarmProcesses):
                 if (expect.level or Level.NONE) > Level.COLLISION:  # only these levels need the reference drivers
                     attempt = checked(attempt, result, runner, settings.goal, Level.COLLISION)
                 verdict = attempt.verdict
-                lost = attempt.ending in ("planner_failed", "crashed") or not verdict.feasible
-                came = PointResult.FAIL if breaks(expect, verdict) else PointResult.PASS
-                points.append(
-                    Point(
-                        PointResult.INVALID if lost else came, verdict.level, verdict.min_ttc,
-                        verdict.delta_v if verdict.collided else None,
-                    )
-                )  # fmt: skip
+                delta_v = verdict.delta_v if verdict.collided else None
+                points.append(Point(_result(attempt, expect), verdict.level, verdict.min_ttc, delta_v))
                 tell()
             return points
+
+
+def _result(attempt: Attempt, expect: Expectation) -> PointResult:
+    """Return the result of an attempt."""
+    if attempt.ending == "crashed":
+        return PointResult.ERROR
+    if attempt.ending == "planner_failed" or not attempt.verdict.feasible:
+        return PointResult.INVALID
+    return PointResult.FAIL if breaks(expect, attempt.verdict) else PointResult.PASS
 
 
 def swept(
