@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,11 +150,42 @@ def test_an_escape_must_stay_on_the_road() -> None:
     assert (answers(wide)[1], answers(narrow)[1]) == ("avoids", "collides")
 
 
+def test_an_escape_from_one_vehicle_and_then_from_another_must_stay_on_the_road() -> None:
+    """Braking avoids the adversary and is hit by a second car from the right, and the road is too narrow to pass."""
+    adversary, second = cruise("adversary", 50, -54.6, 12, np.pi / 2), cruise("second", 45.5, -73.3, 12, np.pi / 2)
+
+    def crossing(x: Any, y: Any) -> Any:
+        return (np.abs(y) <= 1.5) | (np.abs(x - 50.0) <= 4.0)
+
+    case = Case(cruise("ego", 0, 0, 12), adversary, (second,), 1.0)
+    open_ground, narrow = judge_attempt(case), judge_attempt(replace(case, on_road=crossing))
+    assert (answers(open_ground)[1], answers(narrow)[1]) == ("avoids", "collides")
+    assert narrow.level is Level.COLLISION
+
+
+def test_a_vehicle_that_reverses_does_not_stand() -> None:
+    """An adversary backs out at 2 m/s into the flank of an ego at 8 m/s, at 4.5 s and 36 m. An ego reverses at 3 m/s
+    into a crossing car, once with the heading of its front and once, as a car that drives forwards, of its rear."""
+    ego, backing = cruise("ego", 0, 0, 8), cruise("adversary", 36, -12.5, -2, -np.pi / 2)
+    out = judged(ego, backing)
+    assert out.collided and out.fault == "adversary"
+    crossing = cruise("adversary", -15, -24, 6, np.pi / 2)
+    for reversing in (cruise("ego", 0, 0, -3), cruise("ego", 0, 0, 3, np.pi)):
+        hit = judged(reversing, crossing)
+        assert hit.collided and not hit.ego_stationary
+
+
 def test_an_escape_must_stay_clear_of_others_but_not_of_those_that_follow() -> None:
     ego = cruise("ego", 0, 0, 10)
     walled = judged(ego, COMES_OVER, cruise("left", 2, 3.2, 10), cruise("right", 2, -3.2, 10))
     followed = judged(ego, COMES_OVER, cruise("behind", -12, 0, 10))
     assert (answers(walled)[1], answers(followed)[1]) == ("collides", "avoids")
+
+
+def test_figures_of_a_contact_within_the_first_step_are_of_that_step() -> None:
+    """A leader 25 m ahead and 8 m/s slower is hit after 3.125 s. At 3.1 s, 0.2 m are left: 0.0133 s at 15 m/s."""
+    figures = further_figures(Case(EGO, cruise("adversary", 30, 0, 7), (), 3.1))
+    assert figures.min_headway == pytest.approx(0.2 / 15, abs=1e-6) and figures.max_btn > 1.0
 
 
 def test_a_near_miss_has_no_validity_but_ttc_pet_and_distance() -> None:

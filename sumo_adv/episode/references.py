@@ -195,7 +195,7 @@ def manoeuvre_plan(case: Case, contact_time: float) -> Boxes | None:
     if best[0] < 0:
         return None
     first, begin = round(float(alarm[0]) / given.dt), int(given.start[0])
-    _, poses = manoeuvre_poses(check.ego, np.array([first]), check.steps - 1 - first, given.dt)
+    poses = manoeuvre_poses(check.ego, np.array([first]), check.steps - 1 - first, given.dt)
     k = int(best[0])
     parts = []
     for name in ("x", "y", "heading", "speed"):

@@ -174,39 +174,34 @@ def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Flo
     return np.concatenate([zero, np.cumsum(steps, axis=-1)], axis=-1), np.concatenate([zero, slope], axis=-1)
 
 
-def stays_on_road(
-    poses: Poses, own: Boxes, table: Sequence[Manoeuvre], clear: Bools, on_road: OnRoad, dt: float
-) -> Bools:
+def stays_on_road(poses: Boxes, clear: Bools, on_road: OnRoad, dt: float) -> Bools:
     """Check that shifts keep the box's corners on the road until 0.5 s after the shift is complete.
 
-    Only shifts that matter are checked: those that are clear of the adversary although no braking alone with the same
-    delay is.
+    Only shifts that matter are checked: those that touch nobody although every braking alone with the same delay does.
 
     Args:
-        poses: Poses of the manoeuvres ``(manoeuvres, N, steps + 1)``.
-        own: The unchanged motions, for the size of the boxes.
-        table: The manoeuvres.
-        clear: Which manoeuvres do not touch the adversary ``(manoeuvres, N)``.
+        poses: The ego in each manoeuvre of ``TABLE``, ``(len(TABLE), N, steps + 1)``.
+        clear: Which manoeuvres touch nobody ``(len(TABLE), N)``.
         on_road: Returns which points are drivable.
         dt: Step [s].
 
     Returns:
-        Whether each manoeuvre stays on the road ``(manoeuvres, N)``; True for those that are not checked.
+        Whether each manoeuvre stays on the road ``(len(TABLE), N)``; True for those that are not checked.
     """
     ok = np.ones(clear.shape, dtype=bool)
-    steer, delay = np.array([m.shift != 0 for m in table]), np.array([m.delay for m in table])
+    steer, delay = np.array([m.shift != 0 for m in TABLE]), np.array([m.delay for m in TABLE])
     needed = clear & steer[:, None]
     for value in np.unique(delay[steer]):
         needed[delay == value] &= ~clear[(delay == value) & ~steer].any(axis=0)
     m, n = np.nonzero(needed)
     if not len(m):
         return ok
-    ends = np.array([t.delay + _duration(t.shift) + 0.5 for t in table])[m]
+    ends = np.array([t.delay + _duration(t.shift) + 0.5 for t in TABLE])[m]
     time = np.arange(poses.x.shape[-1]) * dt
     steps = np.flatnonzero((time > delay[m].min()) & (time <= ends.max()))[::3]
     pick = (m[:, None], n[:, None], steps[None])
-    heading = np.arctan2(poses.sin[pick], poses.cos[pick])
-    length, width = (np.asarray(v)[n] - 2 * ROAD_TOLERANCE_M for v in (own.length, own.width))
+    heading = poses.heading[pick]
+    length, width = (np.asarray(v)[n] - 2 * ROAD_TOLERANCE_M for v in (poses.length, poses.width))
     points = corners(Boxes(poses.x[pick], poses.y[pick], heading, heading, length, width))
     inside = np.asarray(on_road(points[..., 0], points[..., 1])).all(axis=-1)
     ok[m, n] = (inside | (time[steps] > ends[:, None])).all(axis=1)
@@ -223,7 +218,7 @@ TABLE: tuple[Manoeuvre, ...] = manoeuvres(HAZARD_TO_MANOEUVRE_S - PERCEPTION_S)
 """The combinations that are tried. Their delays count from the alarm."""
 
 
-def manoeuvre_poses(ego: Boxes, alarm: Ints, steps: int, dt: float) -> tuple[Boxes, Boxes]:
+def manoeuvre_poses(ego: Boxes, alarm: Ints, steps: int, dt: float) -> Boxes:
     """Apply ``TABLE`` to the ego's motion.
 
     Args:
@@ -233,19 +228,16 @@ def manoeuvre_poses(ego: Boxes, alarm: Ints, steps: int, dt: float) -> tuple[Box
         dt: Step [s].
 
     Returns:
-        The unchanged ego from the alarm on ``(N, steps + 1)``, and the ego in each manoeuvre
-        ``(len(TABLE), N, steps + 1)``.
+        The ego in each manoeuvre, from the alarm on ``(len(TABLE), N, steps + 1)``.
     """
     own = window(ego, alarm, steps, dt)
     poses = poses_of(own, TABLE, dt)
     moved = np.hypot(np.diff(poses.x, axis=-1), np.diff(poses.y, axis=-1)) / dt
     speed = np.concatenate([moved, moved[..., -1:]], axis=-1)
-    return own, Boxes(poses.x, poses.y, np.arctan2(poses.sin, poses.cos), speed, own.length, own.width, own.z)
+    return Boxes(poses.x, poses.y, np.arctan2(poses.sin, poses.cos), speed, own.length, own.width, own.z)
 
 
-def escapes(
-    ego: Boxes, adversary: Boxes, alarm: Ints, steps: Ints, dt: float, on_road: OnRoad | None = None
-) -> tuple[Boxes, Bools]:
+def escapes(ego: Boxes, adversary: Boxes, alarm: Ints, steps: Ints, dt: float) -> tuple[Boxes, Bools]:
     """Find the manoeuvres that avoid the adversary.
 
     Args:
@@ -254,18 +246,13 @@ def escapes(
         alarm: The step of the alarm ``(N,)``.
         steps: For how many steps after the alarm a contact counts ``(N,)``.
         dt: Step [s].
-        on_road: Returns which points are drivable; None if all are.
 
     Returns:
         The poses of :func:`manoeuvre_poses`, and which of them touch the adversary nowhere (swept between the steps)
-        and stay on the road ``(len(TABLE), N)``.
+        ``(len(TABLE), N)``.
     """
     longest = int(steps.max())
-    own, poses = manoeuvre_poses(ego, alarm, longest, dt)
+    poses = manoeuvre_poses(ego, alarm, longest, dt)
     foe = window(adversary, alarm, longest, dt)
     foe = replace(foe, x=np.where(np.arange(longest + 1) > steps[:, None], np.nan, foe.x))  # absent afterwards
-    clear = ~touches(poses, foe)
-    if on_road is not None:
-        flat = Poses(poses.x, poses.y, np.cos(poses.heading), np.sin(poses.heading))
-        clear &= stays_on_road(flat, own, TABLE, clear, on_road, dt)
-    return poses, clear
+    return poses, ~touches(poses, foe)

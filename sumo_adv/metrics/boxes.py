@@ -348,7 +348,8 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
     Returns:
         Boxes ``(len(tracks), len(time))``; NaN at the times at which a vehicle is absent.
     """
-    step = time[1] - time[0] if len(time) > 1 else 1.0
+    regular = (times for times in (time, *(track.time for track in tracks)) if len(times) > 1)
+    step = next((times[1] - times[0] for times in regular), 1.0)
     raised = any(np.ndim(track.z) for track in tracks)
     state = np.full((5 if raised else 4, len(tracks), len(time)), np.nan)
     for row, track in enumerate(tracks):

@@ -127,9 +127,9 @@ def collision_class(ego: Track, adversary: Track, contact_time: float) -> Collis
         contact_time: When they first touch [s].
     """
     a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
-    if a.speed <= STOPPED_SPEED_M_S:
+    if abs(a.speed) <= STOPPED_SPEED_M_S:
         return CollisionClass.STOPPED_EGO
-    if b.speed <= STOPPED_SPEED_M_S:
+    if abs(b.speed) <= STOPPED_SPEED_M_S:
         return CollisionClass.STOPPED_TRACK
     axle_x = a.x - REAR_AXLE_SHARE * a.length * np.cos(a.heading)
     axle_y = a.y - REAR_AXLE_SHARE * a.length * np.sin(a.heading)

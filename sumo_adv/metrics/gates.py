@@ -61,8 +61,8 @@ def motion(track: Track) -> MotionDerivatives:
 def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> MotionDerivatives:
     """Differentiate a motion.
 
-    The yaw rate is the central difference of headings, one-sided at the ends. Lateral acceleration is v |yaw rate|.
-    Curvature is |yaw rate| / v with v at least 1 m/s, so that turning on the spot shows and noise at standstill does
+    The yaw rate is the central difference of headings, one-sided at the ends. Lateral acceleration is |v yaw rate|.
+    Curvature is |yaw rate / v| with |v| at least 1 m/s, so that turning on the spot shows and noise at standstill does
     not. The jerk of coming to rest (speed below 0.05 m/s) is 0.
 
     Args:
@@ -70,12 +70,12 @@ def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> MotionDerivativ
         acceleration: Accelerations of the same shape [m/s2].
         time: Times of the steps ``(steps,)`` [s].
     """
-    jerk, turned = np.zeros_like(b.heading), np.unwrap(b.heading, axis=-1)
+    jerk, turned, pace = np.zeros_like(b.heading), np.unwrap(b.heading, axis=-1), np.abs(b.speed)
     yaw_rate = np.gradient(turned, time, axis=-1) if len(time) > 1 else np.zeros_like(turned)
-    jerk[..., 1:] = np.where(b.speed[..., 1:] < REST_SPEED_M_S, 0.0, np.diff(acceleration, axis=-1) / np.diff(time))
+    jerk[..., 1:] = np.where(pace[..., 1:] < REST_SPEED_M_S, 0.0, np.diff(acceleration, axis=-1) / np.diff(time))
     size = np.abs(yaw_rate)
-    curvature = size / np.maximum(b.speed, DEFINED_CURVATURE_SPEED_M_S)
-    return MotionDerivatives(b.speed, acceleration, yaw_rate, b.speed * size, curvature, jerk)
+    curvature = size / np.maximum(pace, DEFINED_CURVATURE_SPEED_M_S)
+    return MotionDerivatives(b.speed, acceleration, yaw_rate, pace * size, curvature, jerk)
 
 
 def largest_acceleration(b: Boxes, acceleration: Floats, time: Floats) -> Floats:
@@ -131,11 +131,12 @@ def _discontinuous(b: Boxes, time: Floats, limits: Limits) -> Bools:
     speed = (b.speed[..., 1:] + b.speed[..., :-1]) / 2
     c, s = np.cos(middle), np.sin(middle)
     along, across = dx * c + dy * s, np.abs(dy * c - dx * s)
-    curve = np.minimum(limits.curvature, limits.lateral / np.maximum(speed, DEFINED_CURVATURE_SPEED_M_S) ** 2)
-    slip = speed * (curve * np.asarray(b.length) / 2 + SLIP_ANGLE_RAD) + LANE_CHANGE_SPEED_M_S
+    pace = np.abs(speed)
+    curve = np.minimum(limits.curvature, limits.lateral / np.maximum(pace, DEFINED_CURVATURE_SPEED_M_S) ** 2)
+    slip = pace * (curve * np.asarray(b.length) / 2 + SLIP_ANGLE_RAD) + LANE_CHANGE_SPEED_M_S
     change = np.diff(b.speed, axis=-1) / dt
     broken = np.zeros(b.x.shape, bool)
-    broken[..., 1:] = np.abs(along - speed * dt) > STEP_SLACK_M + STEP_SLACK_SHARE * speed * dt
+    broken[..., 1:] = np.abs(along - speed * dt) > STEP_SLACK_M + STEP_SLACK_SHARE * pace * dt
     broken[..., 1:] |= across > slip * dt + SLIP_SLACK_M
     broken[..., 1:] |= (change > 2 * limits.acceleration) | (change < -1.5 * limits.braking)
     return broken

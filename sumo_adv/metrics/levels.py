@@ -60,7 +60,7 @@ def _hard(verdict: Verdict) -> bool:
 def stationary(ego: Track, contact_time: float) -> bool:
     """Return whether the ego stood throughout the last second before the contact."""
     last = ego.between(contact_time - STATIONARY_FOR_S, contact_time)
-    return bool(len(last.time)) and bool((last.speed < STATIONARY_SPEED_M_S).all())
+    return bool(len(last.time)) and bool((np.abs(last.speed) < STATIONARY_SPEED_M_S).all())
 
 
 def blocking(ego: Track, contact_time: float) -> bool:
@@ -69,7 +69,7 @@ def blocking(ego: Track, contact_time: float) -> bool:
     The check needs SUMO's lane ids; without them the result is False.
     """
     until = ego.between(-np.inf, contact_time)
-    if not until.lane or until.speed[-1] >= STATIONARY_SPEED_M_S or not until.lane[-1].startswith(JUNCTION_PREFIX):
+    if not until.lane or abs(until.speed[-1]) >= STATIONARY_SPEED_M_S or not until.lane[-1].startswith(JUNCTION_PREFIX):
         return False
     outside_it = [k for k, lane in enumerate(until.lane) if lane and not lane.startswith(JUNCTION_PREFIX)]
     if not outside_it:

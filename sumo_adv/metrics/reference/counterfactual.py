@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
-from sumo_adv.metrics.avoidance import OnRoad, escapes, window
+from sumo_adv.metrics.avoidance import OnRoad, escapes, stays_on_road, window
 from sumo_adv.metrics.boxes import first_contact, height_as, pick, some_steps, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS, Braker
@@ -179,12 +179,14 @@ class Counterfactual:
         rows = np.flatnonzero(alarmed & (self._until - first >= 2))
         if len(rows):
             ego, adversary = pick(self.ego, rows), pick(self.adversary, rows)
-            poses, clear = escapes(ego, adversary, first[rows], self._until[rows] - first[rows], self.given.dt, on_road)
+            poses, clear = escapes(ego, adversary, first[rows], self._until[rows] - first[rows], self.given.dt)
             for place, row in enumerate(rows.tolist()):
-                good = np.flatnonzero(clear[:, place])
-                good = good[self._clear_of_others(poses, good, row, place, int(first[row]))]
-                if len(good):
-                    best[row], contact[row] = int(good[0]), np.inf
+                tried = np.flatnonzero(clear[:, place])
+                clear[tried, place] = self._clear_of_others(poses, tried, row, place, int(first[row]))
+            if on_road is not None:
+                clear &= stays_on_road(poses, clear, on_road, self.given.dt)
+            some = clear.any(axis=0)
+            best[rows[some]], contact[rows[some]] = clear.argmax(axis=0)[some], np.inf
         return DriverOutcome(best >= 0, alarm, contact), best
 
     def roll_out(self, driver: MakeDriver) -> tuple[Floats, Floats, Floats]:
