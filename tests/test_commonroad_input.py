@@ -19,6 +19,7 @@ from sumo_adv.report.export.commonroad import COMMONROAD_SCENARIO_FILE, write_co
 from sumo_adv.report.export.piece import map_lanes, read_piece
 from sumo_adv.simulation.inputs import is_commonroad, load_input
 from sumo_adv.womd.commonroad import read_commonroad
+from sumo_adv.womd.record import evenly_sampled
 
 HEAD = '<commonRoad commonRoadVersion="2020a" benchmarkID="ZAM_Hand-1_1_T-1" timeStepSize="0.1">'
 
@@ -81,6 +82,23 @@ def test_a_scenario_by_hand_is_read(tmp_path: Path) -> None:
     assert [n.lane for n in right.left] == [2] and [n.lane for n in left.right] == [1]
     (edge,) = record.lines.values()
     assert edge.edge and np.allclose([edge.points[:, 1].min(), edge.points[:, 1].max()], [0.0, 7.0], atol=0.01)
+
+
+@pytest.mark.parametrize(("step", "first"), [(0.04, 0), (0.04, 1), (0.05, 3), (0.1, 2), (0.2, 1)])
+def test_the_ego_is_there_at_two_steps_of_the_grid_whatever_the_step_of_the_file(
+    step: float, first: int, tmp_path: Path
+) -> None:
+    """At 12 m/s from x = 20 m at the step of the planning problem, before and after it."""
+    problem = PROBLEM.replace(exact("time", 0), exact("time", first))
+    places = (state("state", k, 40.0 + 10.0 * step * k, 5.25, 10.0) for k in range(1, 61))
+    car = f"{CAR.partition('<trajectory>')[0]}<trajectory>{''.join(places)}</trajectory></dynamicObstacle>"
+    file = write(tmp_path, *LANES, car, problem)
+    file.write_text(file.read_text().replace('timeStepSize="0.1"', f'timeStepSize="{step}"'))
+    record, _ = evenly_sampled(read_commonroad(file))
+    ego = record.tracks[0]
+    there = np.flatnonzero(ego.valid)
+    assert len(there) >= 2 and record.current in there and record.current + 1 in there
+    assert np.allclose(ego.x[there], 20.0 + 12.0 * (0.1 * there - step * first))
 
 
 def test_a_scenario_by_hand_runs(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ from sumo_adv.womd.commonroad_roads import (
     read_lanes,
     read_lights,
 )
-from sumo_adv.womd.record import MAX_RECORD_DURATION_S, VEHICLE, Record, check_record
+from sumo_adv.womd.record import MAX_RECORD_DURATION_S, RECORD_STEP_S, VEHICLE, Record, check_record
 
 COMMONROAD_VERSIONS = ("2018b", "2020a")
 PLANNING_EGO_SIZE_M = 4.508, 1.610  # CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
@@ -95,7 +95,8 @@ def _record(root: Element, path: Path, content: str) -> Record:
     poses = [read_poses(each, step) for each, _ in taken]
     initial = child(problem, "initialState")
     first = time_step(initial)
-    count = max([first + 2, *(max(each) + 1 for each in poses)])
+    seen = _ego_steps(first, step)
+    count = max([seen[-1] + 1, *(max(each) + 1 for each in poses)])
     if count * step > MAX_RECORD_DURATION_S:
         raise UsageError(
             f"{path} spans {count * step:.3g} s, more than the {MAX_RECORD_DURATION_S:g} s that are read: "
@@ -103,10 +104,11 @@ def _record(root: Element, path: Path, content: str) -> Record:
         )
     pose = read_pose(initial)
     ego = Pose(pose.x, pose.y, pose.heading, 0.0 if math.isnan(pose.speed) else pose.speed)
-    ahead = ego.speed * step
-    onward = Pose(ego.x + ahead * math.cos(ego.heading), ego.y + ahead * math.sin(ego.heading), ego.heading, ego.speed)
+    moved = {k: ego.speed * step * (k - first) for k in seen}
+    c, s = math.cos(ego.heading), math.sin(ego.heading)
+    own = {k: Pose(ego.x + m * c, ego.y + m * s, ego.heading, ego.speed) for k, m in moved.items()}
     number = int(problem.attrib["id"])
-    tracks = [make_track(number, VEHICLE, plain_box(*PLANNING_EGO_SIZE_M), {first: ego, first + 1: onward}, count)]
+    tracks = [make_track(number, VEHICLE, plain_box(*PLANNING_EGO_SIZE_M), own, count)]
     numbers = itertools.count(
         1 + max(int(each.get("id", "0")) for each in root.iter() if each.get("id", "0").isdigit())
     )
@@ -121,6 +123,18 @@ def _record(root: Element, path: Path, content: str) -> Record:
         areas=read_crosswalks(root.findall("lanelet")), signals=read_lights(root, lanelets, lanes, count),
         content=content, notes=_notes(root, path),
     )  # fmt: skip
+
+
+def _ego_steps(first: int, step: float) -> range:
+    """Return the steps of the ego, which drives straight on: those around the first two steps of the 10 Hz grid.
+
+    Args:
+        first: The step of the planning problem.
+        step: The file's step [s].
+    """
+    steps = first * step / RECORD_STEP_S
+    begin, end = math.floor(steps + 1e-6), math.ceil(steps - 1e-6) + 1  # on the grid
+    return range(math.floor(begin * RECORD_STEP_S / step + 1e-6), math.ceil(end * RECORD_STEP_S / step - 1e-6) + 1)
 
 
 def _notes(root: Element, path: Path) -> Sequence[str]:
