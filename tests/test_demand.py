@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from sumo_samples import make_net
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.demand import default_density, generate_demand, generate_flows, journeys
@@ -14,6 +15,9 @@ from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.scan import scan_demand, scan_network
 
 RING = ("ab", "bc", "ca")
+T_NODES = '<node id="C" x="0" y="0"/><node id="W" x="-200" y="0"/><node id="E" x="200" y="0"/>'
+T_NODES += '<node id="S" x="0" y="-200"/>'
+T_EDGES = "".join(f'<edge id="{a}_in" from="{a}" to="C"/><edge id="{a}_out" from="C" to="{a}"/>' for a in "WES")
 
 
 def ring(path: Path, length: float) -> Path:
@@ -79,6 +83,14 @@ def test_routes_lead_from_fringe_to_fringe_over_edges_of_the_network(tmp_path: P
     routes = {journey.edges for journey in journeys(network, random.Random(0))}
     arms = ("west", "east", "south")
     assert routes == {(f"{a}_in", f"{b}_out") for a in arms for b in arms if a != b}
+
+
+def test_in_left_hand_traffic_routes_do_not_turn_round_either(tmp_path: Path) -> None:
+    """SUMO writes ``T`` for a turnaround there. Each of three arms leads to the two others."""
+    network = make_net(tmp_path, T_NODES, T_EDGES, "--lefthand", name="left")
+    assert ' dir="T"' in network.read_text(encoding="utf-8")
+    routes = {journey.edges for journey in journeys(network, random.Random(0))}
+    assert routes == {(f"{a}_in", f"{b}_out") for a in "WES" for b in "WES" if a != b}
 
 
 def test_the_default_density_follows_lanes_and_yielding() -> None:

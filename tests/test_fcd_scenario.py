@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from cli_samples import ROOT
 from run_samples import run_folder
+from sumo_samples import make_net
 from typer.testing import CliRunner
 
 import sumo_adv
@@ -111,3 +112,30 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, text: str, says: str) -
     with pytest.raises(UsageError, match=says):
         raise done.exception
     assert [p.name for p in tmp_path.iterdir()] == ["fcd.xml"]
+
+
+SHORT_NODES = "".join(
+    f'<node id="{name}" x="{x}" y="0"/>' for name, x in (("a", 0), ("b", 100), ("c", 112), ("d", 212))
+)
+SHORT_EDGES = "".join(
+    f'<edge id="{way}" from="{way[0]}" to="{way[1]}" speed="20"/>' for way in ("ab", "bc", "cd", "dc")
+)
+
+
+def test_edges_that_a_vehicle_passes_between_two_states_are_on_its_route(tmp_path: Path) -> None:
+    """At 20 m/s and with steps of 1 s, ``a`` is never recorded on ``bc`` of 12 m. ``b`` overtakes on the other side of
+    ``cd``, to which nothing leads."""
+    network = make_net(tmp_path, SHORT_NODES, SHORT_EDGES, "--no-turnarounds", "--offset.disable-normalization")
+    state = '<vehicle id="{}" x="{}" y="-1.6" angle="90" speed="20" lane="{}_0" type="t"/>'
+    places = [(75, 55, "ab", "ab"), (95, 75, "ab", "ab"), (115, 95, "cd", "ab"), (135, 115, "cd", "dc")]
+    steps = "".join(
+        f'<timestep time="{k}">{state.format("a", x, on)}{state.format("b", y, other)}</timestep>'
+        for k, (x, y, on, other) in enumerate(places)
+    )
+    (tmp_path / "fcd.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    made = write_scenario(tmp_path, tmp_path / "fcd.xml", network, "a", warm_up=0.0)
+    text = (tmp_path / ROUTES_FILE).read_text()
+    assert '<route id="a" edges="ab bc cd"/>' in text and '<route id="b" edges="ab"/>' in text
+    assert made.notes[-1] == (
+        "Routes end before the recording does, where no connection leads to the next recorded edge: b."
+    )

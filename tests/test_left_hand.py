@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from mirrors import both_ways, farthest
+from sumo_samples import make_net
 
 from sumo_adv.geometry import Frame
 from sumo_adv.simulation.human_errors import ErrorKind, HumanErrors
@@ -38,6 +39,14 @@ def test_the_turn_to_the_near_side_is_the_left_one() -> None:
     assert [(w.movement, w.gives_way) for w in road.ways("west_in_1", 107.6, 150.0)] == [
         ("straight", False), ("right", True),
     ]  # fmt: skip
+
+
+def test_a_turnaround_is_a_u_turn(tmp_path: Path) -> None:
+    """SUMO writes ``T`` for it in left-hand traffic."""
+    nodes = '<node id="a" x="0" y="0"/><node id="b" x="100" y="0"/>'
+    edges = '<edge id="there" from="a" to="b"/><edge id="back" from="b" to="a"/>'
+    road = read_network(make_net(tmp_path, nodes, edges, "--lefthand"))
+    assert [(c.to, c.movement) for c in road.lanes["there_0"].connections] == [("back_0", "u-turn")]
 
 
 def test_planners_see_the_mirrored_scene_and_their_poses_are_mirrored_back() -> None:

@@ -94,6 +94,21 @@ def test_limits_change_along_the_road_and_a_lane_goes_before_its_road(tmp_path: 
     assert pieces == [(100.0, 13.89), (100.0, 22.22), (100.0, 20.0)]
 
 
+def test_a_limit_that_begins_in_a_later_section_closes_no_lane(tmp_path: Path) -> None:
+    """50 km/h, from 200 m on 80 km/h; from 100 m on, there are two lanes with 20 m/s of their own."""
+    types = "".join(
+        f'<type s="{s}" type="town"><speed max="{limit}" unit="km/h"/></type>' for s, limit in ((0, 50), (200, 80))
+    )
+    own = '<speed sOffset="0" max="20"/>'
+    wider = road(1, lane(-1, speeds=own) + lane(-2, speeds=own)).replace('<laneSection s="0">', '<laneSection s="100">')
+    section = wider[wider.index("<laneSection") : wider.index("</lanes>")]
+    made = converted(tmp_path, road(1, lane(-1), types=types).replace("</lanes>", f"{section}</lanes>"))
+    assert sorted((float(each["length"]), float(each["speed"])) for each in lanes(made).values()) == [
+        (96.0, 13.89), (196.0, 20.0), (196.0, 20.0),
+    ]  # fmt: skip
+    assert not made.warnings  # 4 m on either side are the junction in which the road widens
+
+
 def test_a_type_without_a_limit_ends_the_limit_before_it(tmp_path: Path) -> None:
     types = '<type s="0" type="town"><speed max="30"/></type><type s="150" type="rural"/>'
     assert speeds(converted(tmp_path, road(1, lane(-1), types=types))) == [30.0, 13.89]

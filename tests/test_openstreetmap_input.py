@@ -20,11 +20,11 @@ CROSSING = {"highway": "tertiary"}
 
 def way(name: int, along: tuple[int, ...], tags: Tags, attributes: str = "") -> str:
     nodes = "".join(f'<nd ref="{k}"/>' for k in along)
-    return (
-        f'<way id="{name}" {attributes}>{nodes}'
-        + "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items())
-        + "</way>"
-    )
+    return f'<way id="{name}" {attributes}>{nodes}{tagged(tags)}</way>'
+
+
+def tagged(tags: Tags) -> str:
+    return "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items())
 
 
 def nodes() -> str:
@@ -123,10 +123,53 @@ def test_what_cannot_be_kept_of_lanes_is_said(tmp_path: Path) -> None:
     assert made.lost == {"bus lane without a side": 1, "closing of a lane to cars": 1}
 
 
-# -- files as other programs write them
-
 WAYS = (way(10, (1, 2, 3), BOTH_WAYS), way(12, (4, 2, 5), CROSSING))
 EDGES = "8 edges with 8 lanes for cars"  # four arms both ways
+
+# -- the side of the road
+
+LEFT, RIGHT = {"driving_side": "left"}, {"driving_side": "right"}
+ASSUMED = "right-hand traffic (the map does not say)"
+
+
+def country(tags: Tags) -> str:
+    return f'<relation id="5"><tag k="boundary" v="administrative"/>{tagged(tags)}</relation>'
+
+
+def roundabout(name: int, along: tuple[int, ...], tags: Tags | None = None) -> str:
+    return way(name, along, {"highway": "tertiary", "junction": "roundabout", **(tags or {})})
+
+
+CLOCKWISE = (1, 4, 3, 5, 1)  # west, north, east, south
+
+
+@pytest.mark.parametrize(
+    ("parts", "left"),
+    [
+        ((country(LEFT),), True), ((way(13, (1, 4), {**CROSSING, **LEFT}), country(RIGHT)), False),
+        ((way(13, (1, 4), {"highway": "footway", **LEFT}), way(14, (4, 3), {"railway": "rail", **LEFT})), None),
+        ((roundabout(13, CLOCKWISE),), True), ((roundabout(13, CLOCKWISE[::-1]),), False),
+        ((roundabout(13, CLOCKWISE, {"oneway": "-1"}),), False),
+        ((roundabout(13, CLOCKWISE[:4]),), True),  # turns right twice, by 90 degrees in metres
+        ((roundabout(13, CLOCKWISE[:2]),), None), ((way(13, CLOCKWISE, CROSSING),), None),
+        ((roundabout(13, CLOCKWISE), country(RIGHT)), False),
+    ],
+)  # fmt: skip
+def test_countries_then_roads_and_roundabouts_tell_the_side(
+    tmp_path: Path, parts: tuple[str, ...], left: bool | None
+) -> None:
+    made = converted(tmp_path, nodes(), *WAYS, *parts)
+    assert ("--lefthand" in made.options) == bool(left)
+    assert (ASSUMED in made.said[0]) == (left is None)
+
+
+def test_roads_of_two_sides_are_refused(tmp_path: Path) -> None:
+    parts = way(13, (1, 4), {**CROSSING, **RIGHT}), roundabout(14, CLOCKWISE)
+    with pytest.raises(UsageError, match="by the roundabout way 14, it drives on the left, by way 13 on the right"):
+        converted(tmp_path, nodes(), *WAYS, *parts)
+
+
+# -- files as other programs write them
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.episode.task import make_task
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import load_input, own_simulation
+from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.scan import first_departure, scan_network
 from sumo_adv.simulation.sumocfg import read_sumocfg
 
@@ -40,12 +42,62 @@ def test_it_begins_at_0_and_the_search_at_the_first_departure(tmp_path: Path, ne
         ('<vehicle depart="9"/><flow period="5"/>', 0.0),
         ('<vehicle depart="9"/><personFlow begin="3" period="5"/>', 3.0),
         ('<vehicle depart="triggered"/><vehicle depart="0:01:00"/>', 60.0),
+        ('<interval begin="500" end="520"><flow number="2"/></interval><vehicle depart="600"/>', 500.0),
+        ('<interval begin="500" end="520"><flow number="2" begin="505"/></interval>', 505.0),
+        ('<interval begin="500" end="520"/><flow period="5"/>', 0.0),
         ("", 0.0),
     ],
 )
 def test_the_first_departure_is_that_of_anything(tmp_path: Path, demand: str, first: float) -> None:
     (tmp_path / "r.rou.xml").write_text(f"<routes>{demand}</routes>")
     assert first_departure([tmp_path / "r.rou.xml"]) == first
+
+
+@pytest.mark.parametrize(
+    ("demand", "search"),
+    [
+        ('<vehicle id="v" route="we" depart="10"/><vehicle id="w" route="we" depart="150"/>', 150.0),
+        (
+            '<flow id="f" route="we" begin="20" end="90" period="10"/><trip id="w" from="WC" to="CE" depart="150"/>',
+            150.0,
+        ),
+        ('<flow id="f" route="we" begin="20" end="200" period="50"/>', 100.0),  # SUMO lets f.0 depart at 120 s
+    ],
+)
+def test_departures_before_the_begin_do_not_count(tmp_path: Path, network: Path, demand: str, search: float) -> None:
+    """SUMO begins at 100 s and discards them; the search for encounters lasts 600 s from the first departure."""
+    run_input = load_input(configuration(tmp_path, network, WE + demand, begin="100"))
+    assert make_task(run_input, load_settings(None, **own_simulation(run_input)), tmp_path).end == search + 600.0
+
+
+@pytest.mark.parametrize(
+    ("text", "begin"),
+    [
+        ("<begin>3600</begin>", 3600.0), ("<time>7<b> 36<!-- and -->00 </b>8</time>", 3600.0),
+        ('<begin value="5"> </begin>', 5.0), ('<begin value="">3600</begin>', 3600.0), ("<time> </time>", 0.0),
+    ],
+)  # fmt: skip
+def test_the_text_of_an_option_is_its_value(tmp_path: Path, text: str, begin: float) -> None:
+    (tmp_path / "c.sumocfg").write_text(f"<configuration>\n  {text}\n</configuration>")
+    assert read_sumocfg(tmp_path / "c.sumocfg").begin == begin
+
+
+@pytest.mark.parametrize("name", ["r 1.rou.xml", "100%.rou.xml", "20%25.rou.xml", "x%20y.rou.xml", "b%20%zz.rou.xml"])
+def test_names_that_sumo_writes_are_read(tmp_path: Path, network: Path, name: str) -> None:
+    """SUMO writes ``r%201.rou.xml`` and ``100%25.rou.xml``."""
+    (tmp_path / name).write_text("<routes/>")
+    path = tmp_path / "saved.sumocfg"
+    command = [str(find_sumo()), "-n", str(network), "-r", str(tmp_path / name), "--save-configuration", str(path)]
+    subprocess.run(command, check=True, capture_output=True)
+    (given,) = read_sumocfg(path).routes
+    assert given.resolve() == (tmp_path / name).resolve()
+
+
+def test_a_percent_sign_alone_stands_for_itself(tmp_path: Path) -> None:
+    """SUMO then takes the whole name as it is."""
+    path = write_configuration(tmp_path / "c.sumocfg", {"r": "100%.rou.xml, x%20y.rou.xml,x%20%zz.rou.xml"})
+    names = ("100%.rou.xml", "x y.rou.xml", "x%20%zz.rou.xml")
+    assert read_sumocfg(path).routes == tuple(tmp_path / name for name in names)
 
 
 def test_variables_lists_and_short_names(tmp_path: Path) -> None:
@@ -65,6 +117,7 @@ def test_variables_lists_and_short_names(tmp_path: Path) -> None:
         ('<seed value="1"/><seed value="2"/>', "names the option 'seed' twice, which SUMO refuses"),
         ('<n value="a"/><net-file value="a"/>', "names the option 'net-file' twice"),
         ('<seed value="1" v="1"/>', "names the option 'seed' twice"),
+        ('<seed value="1">1</seed>', "names the option 'seed' twice"),
         ('<begin value="-5"/>', "begins at -5 s: SUMO takes no negative begin"),
         ('<step-length value="0"/>', "has steps of 0 s: give a step-length above 0"),
         ('<step-length value="-1"/>', "has steps of -1 s"),

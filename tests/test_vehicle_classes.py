@@ -106,6 +106,19 @@ def test_what_the_user_asks_of_the_driver_goes_before_the_vehicles_type(tmp_path
         assert (v.getAccel("ego"), v.getDecel("ego"), v.getSpeedFactor("ego")) == (2.0, 3.5, 1.2)
 
 
+def test_car_following_in_an_element_of_its_own_is_kept(tmp_path: Path) -> None:
+    """Its 0.5 m/s2 override the 2.0 m/s2 of the type, as in SUMO."""
+    kind = (
+        '<vType id="bus" vClass="bus" accel="2.0"><carFollowing-Krauss accel="0.5" decel="2.5" tau="3"/></vType>'
+    )  # fmt: skip
+    spec = street_spec(tmp_path, [kind, vehicle("ego", "ab bc cd", BUSES, 20.0, 5.0, "bus")])
+    with driving(spec, SumoEgo("idm", {}), tmp_path) as drive:
+        v = drive.simulation.api.vehicle
+        own = v.getAccel("ego"), v.getDecel("ego"), v.getTau("ego")
+        drive.take_over("ego")
+        assert own == (v.getAccel("ego"), v.getDecel("ego"), v.getTau("ego")) == (0.5, 2.5, 3.0)
+
+
 def test_a_vehicle_that_was_tried_as_the_ego_gets_its_own_type_back(tmp_path: Path) -> None:
     spec = street_spec(tmp_path, [vtype("bus", 'tau="1.4"'), vehicle("ego", "ab bc cd", BUSES, 20.0, 5.0, "bus")])
     with driving(spec, SumoEgo("idm", {"tau": 0.6}), tmp_path) as drive:

@@ -134,7 +134,8 @@ class Bencher(WarmProcesses):
     def _run(self, job: BenchJob, left: list[str]) -> None:
         """Write the cells of the rows in ``left``, and remove each row from the list when it is done."""
         run_input = self._setup.parts.load(job.case.path, job.case.record)
-        settings, common = (self._settings(job, run_input.horizon, own) for own in (job.settings, {}))
+        brought = run_input.settings(("until",))
+        settings, common = (self._settings(job, brought, own) for own in (job.settings, {}))
         with (
             tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch,
             MemoryBank.open(self._setup.bank, read_only=True) as bank,
@@ -152,9 +153,9 @@ class Bencher(WarmProcesses):
             if arena.found is None and arena.unattacked.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()
 
-    def _settings(self, job: BenchJob, horizon: float | None, own: Mapping[str, Any]) -> Settings:
-        """Return the table's settings, overridden by a row's ``own``."""
-        table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **own}
+    def _settings(self, job: BenchJob, brought: Mapping[str, Any], own: Mapping[str, Any]) -> Settings:
+        """Return the settings that the input brings, overridden by the table's and then by a row's ``own``."""
+        table = {**brought, **self._setup.settings, **own}
         learn = "off" if job.place is None else "on"
         given = {**table, "ego": job.ego, "seed": job.seed, "learn": learn}
         settings = load_settings(None, **given)

@@ -280,7 +280,7 @@ class Runner(WarmProcesses):
         """Combine the settings of an episode: the plan's and, if it does not set them, the input's."""
         ego = trusted_driver(job.ego, run_input.ego_controller, run_input.path)
         return load_settings(None, **{
-            **own_simulation(run_input), "horizon": run_input.horizon, **self._setup.variants[job.variant],
+            **own_simulation(run_input), **run_input.settings(("until",)), **self._setup.variants[job.variant],
             "ego": ego, "seed": job.seed, "memory": self._setup.bank,
             "learn": "off" if self._setup.learn is Learn.OFF else "on",
         })  # fmt: skip

@@ -266,7 +266,7 @@ def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
     playback = with_background(run_input.playback, settings.background, replayed=settings.ego == "replay")
     begin = settings.begin if settings.begin is not None else run_input.begin
     driven = _drives(run_input)
-    first = first_departure((*routes, *run_input.additional)) if routes or driven else 0.0
+    first = first_departure((*routes, *run_input.additional), begin or 0.0) if routes or driven else 0.0
     begin = first if begin is None else begin
     first = max(begin, first)
     end = settings.end if settings.end is not None else run_input.end

@@ -190,8 +190,13 @@ def _passable(neighbours: Any) -> list[Any]:
     return [
         edge
         for edge, connections in neighbours.items()
-        if edge.allows("passenger") and any(connection.getDirection() != "t" for connection in connections)
+        if edge.allows("passenger") and any(not _turns_round(connection) for connection in connections)
     ]
+
+
+def _turns_round(connection: Any) -> bool:
+    """Return whether a connection of sumolib is a u-turn: ``t``, or ``T`` in left-hand traffic."""
+    return str(connection.getDirection()).lower() == "t"
 
 
 def _pairs(origins: list[Any], destinations: list[Any], draw: random.Random) -> list[tuple[Any, Any]]:
@@ -209,7 +214,7 @@ def _routes(net: Any, pairs: list[tuple[Any, Any]], *, fringe: bool) -> list[Jou
         route, _ = net.getFastestPath(origin, destination, vClass="passenger")
         if route is None or (not fringe and sum(edge.getLength() for edge in route) < MIN_INNER_ROUTE_LENGTH_M):
             continue
-        if any(link.getDirection() == "t" for a, b in pairwise(route) for link in a.getConnections(b)):
+        if any(_turns_round(link) for a, b in pairwise(route) for link in a.getConnections(b)):
             continue
         lanes = sum(lane.allows("passenger") for lane in route[0].getLanes())
         yields = any(link.getState() != "M" for a, b in pairwise(route) for link in a.getConnections(b))

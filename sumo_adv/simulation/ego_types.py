@@ -25,13 +25,16 @@ BUILT_IN_TYPES = {
 }  # fmt: skip
 """The types that SUMO defines itself, and their classes."""
 
+FOLLOWING = "carFollowing-"
+"""The beginning of the names of elements in a ``vType`` whose attributes (of car following) override its own."""
+
 
 @dataclass(slots=True)
 class VehicleType:
     """A ``vType`` of a file.
 
     Attributes:
-        attributes: Its attributes, without the id.
+        attributes: Its attributes, without the id, and those of its elements for car following.
         parameters: The values of its ``param`` elements by key.
     """
 
@@ -66,6 +69,8 @@ def _read(file: Path, types: dict[str, VehicleType]) -> None:
             made = VehicleType({k: v for k, v in attributes.items() if k != "id"})
             types[attributes.get("id", "")] = made
             within.append(made)
+        elif tag.startswith(FOLLOWING) and within:
+            within[-1].attributes.update(attributes)
         elif tag == "param" and within:
             within[-1].parameters[attributes.get("key", "")] = attributes.get("value", "")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -32,6 +33,7 @@ from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
 MAX_RECORDED_STATES = 20_000_000  # maximum number of states, over all objects and times: about 700 MB
 PREFERRED_MOVEMENTS = ("straight", "right", "left", "u-turn")  # order in which routes are extended
 FCD_ROUTE_EXTENSION_M = 500.0  # length of road after the recording's end: half a minute in town, longer than an attack
+UNRECORDED_ROAD_SLACK_M = 5.0  # how much longer edges between two states may be than the line between their places
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,9 @@ def write_scenario(
     recorded = in_network(recording, recorded, network, road, ego)
     check_recording(recording, recorded, sizes)
     log = _log(recording, recorded, sizes)
-    routes = {name: _edges(recorded.objects[name], road, log.end) for name in vehicles}
+    found = {name: _edges(recorded.objects[name], road, log.end) for name in vehicles}
+    routes = {name: edges for name, (edges, _) in found.items()}
+    cut = [name for name, (_, whole) in found.items() if not whole]
     if not routes[ego]:
         raise UsageError(f"The vehicle '{ego}' is only on junctions of {network.name} in {recording}: record longer.")
     lasts = float(np.ptp(recorded.objects[ego].time))
@@ -95,7 +99,7 @@ def write_scenario(
     lines = [f'    <route id={quoteattr(n)} edges="{" ".join(edges)}"/>\n' for n, edges in routes.items() if edges]
     (folder / ROUTES_FILE).write_text("<routes>\n" + "".join(lines) + "</routes>\n", encoding="utf-8")
     (folder / SCENARIO_FILE).write_text(_scenario(copy, ego, float(log.time[0]), warm_up), encoding="utf-8")
-    return ImportedFcd(len(log.tracks), (*recorded.notes, *_said(unknown)))
+    return ImportedFcd(len(log.tracks), (*recorded.notes, *_said(unknown, cut)))
 
 
 def _sizes(recorded: FcdRecording, sizes: Mapping[str, Size]) -> tuple[dict[str, Size], list[str]]:
@@ -110,15 +114,20 @@ def _sizes(recorded: FcdRecording, sizes: Mapping[str, Size]) -> tuple[dict[str,
     return known, list(unknown)
 
 
-def _said(unknown: Sequence[str]) -> list[str]:
-    """Return notes on what is assumed for vehicles of unknown types."""
-    if not unknown:
-        return []
-    of = f"the types {some(unknown)}" if any(unknown) else "vehicles whose type the recording does not say"
-    return [
-        f"No file says the size of {of}: {CAR_SIZE[0]:g} by {CAR_SIZE[1]:g} m are assumed; name "
-        "their file with --types."
-    ]
+def _said(unknown: Sequence[str], cut: Sequence[str]) -> list[str]:
+    """Return notes on what is assumed for vehicles of unknown types, and on vehicles whose routes are cut short."""
+    notes = []
+    if unknown:
+        of = f"the types {some(unknown)}" if any(unknown) else "vehicles whose type the recording does not say"
+        notes.append(
+            f"No file says the size of {of}: {CAR_SIZE[0]:g} by {CAR_SIZE[1]:g} m are assumed; name "
+            "their file with --types."
+        )
+    if cut:
+        notes.append(
+            f"Routes end before the recording does, where no connection leads to the next recorded edge: {some(cut)}."
+        )
+    return notes
 
 
 def _log(recording: Path, recorded: FcdRecording, sizes: Mapping[str, Size]) -> TrackLog:
@@ -150,22 +159,30 @@ def _track(o: RecordedObject, size: Size, grid: Floats) -> LoggedTrack:
     return LoggedTrack(o.name, "pedestrian" if o.person else "vehicle", valid, x, y, heading, speed, *size)
 
 
-def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[str, ...]:
-    """Return the edges that an object drove outside junctions, as long as each leads to the next.
+def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[tuple[str, ...], bool]:
+    """Return the edges that an object drove outside junctions, as long as each leads to the next, and whether all do.
 
-    A vehicle that is still there at the ``end`` [s] of the recording has not arrived. Its route is extended, straight
-    if possible.
+    Edges that the object passed between two recorded states are added. A vehicle that is still there at the ``end``
+    [s] of the recording has not arrived. Its route is extended, straight if possible.
     """
     route: list[str] = []
-    for name in o.lanes:
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(o.x), np.diff(o.y)))])  # to each state [m]
+    last = 0  # the latest state on the route's last edge
+    for k, name in enumerate(o.lanes):
         lane = road.lanes.get(name)
-        if lane is None or lane.internal or (route and lane.edge == route[-1]):
+        if lane is None or lane.internal:
             continue
-        if route and lane.edge not in _next_edges(route[-1], road):
-            return tuple(route)
-        route.append(lane.edge)
+        if route and lane.edge != route[-1]:
+            reach = float(driven[k] - driven[last]) + UNRECORDED_ROAD_SLACK_M
+            between = _edges_between(route[-1], lane.edge, road, reach)
+            if between is None:
+                return tuple(route), False
+            route += [*between, lane.edge]
+        elif not route:
+            route.append(lane.edge)
+        last = k
     if not route or o.time[-1] < end:
-        return tuple(route)
+        return tuple(route), True
     left = FCD_ROUTE_EXTENSION_M
     while left > 0.0 and (onward := [edge for edge in _next_edges(route[-1], road) if edge not in route]):
         lanes = [road.lanes[name] for name in road.edges[onward[0]]]
@@ -173,7 +190,24 @@ def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[str, ...]:
             break
         route.append(onward[0])
         left -= lanes[0].length
-    return tuple(route)
+    return tuple(route), True
+
+
+def _edges_between(start: str, goal: str, road: RoadMap, reach: float) -> tuple[str, ...] | None:
+    """Return the shortest chain of edges that connects two edges; None if it is longer than ``reach`` [m]."""
+    open_chains: list[tuple[float, tuple[str, ...]]] = [(0.0, ())]
+    reached: set[str] = set()
+    while open_chains:
+        length, chain = heapq.heappop(open_chains)
+        onward = _next_edges(chain[-1] if chain else start, road)
+        if goal in onward:
+            return chain
+        for edge in onward:
+            longer = length + road.lanes[road.edges[edge][0]].length
+            if edge not in reached and longer <= reach:
+                reached.add(edge)
+                heapq.heappush(open_chains, (longer, (*chain, edge)))
+    return None
 
 
 def _next_edges(edge: str, road: RoadMap) -> list[str]:

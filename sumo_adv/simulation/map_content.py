@@ -18,6 +18,7 @@ class MapContent:
         kinds: The kind of each road by its id. For OpenDRIVE, the kind of each lane by ``ROAD_LANE``.
         roads: The number of roads.
         left_hand: Whether traffic drives on the left.
+        says_side: Whether the map says on which side traffic drives.
         lost: The number of things that a SUMO network cannot represent, by kind.
         write: Writes the map to a file, in terms that netconvert understands.
     """
@@ -27,6 +28,7 @@ class MapContent:
     left_hand: bool
     lost: Mapping[str, int]
     write: Callable[[Path], None]
+    says_side: bool = True
 
 
 def parse_map(path: Path, start: Callable[[str, dict[str, str]], None], root: str) -> None:

@@ -228,7 +228,7 @@ def _report(
         f"Converted {path.name} with netconvert: {counts.edges['normal']} edges with {for_cars} lanes for cars and "
         f"{sum(counts.lanes.values()) - for_cars} others, {sum(counts.junctions.values())} junctions, "
         f"{counts.others['tlLogic']} traffic lights"
-        f"{', left-hand traffic' if content.left_hand else ''}."
+        f"{_side(content)}."
     ]
     if lost:
         said.append(f"Left out: {_named(lost)}.")
@@ -237,6 +237,13 @@ def _report(
         "map": path.name, "options": list(options), "lost": lost, "said": [*said, *said_of(kinds, "netconvert")],
         "warnings": [asdict(kind) for kind in kinds],
     }  # fmt: skip
+
+
+def _side(content: MapContent) -> str:
+    """Return the side of the traffic, for a sentence; empty if the map says that it is the right one."""
+    if content.left_hand:
+        return ", left-hand traffic"
+    return "" if content.says_side else ", right-hand traffic (the map does not say)"
 
 
 def _named(lost: Mapping[str, int]) -> str:

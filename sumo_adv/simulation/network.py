@@ -20,7 +20,10 @@ from sumo_adv.simulation.layers import HEIGHTS_KEY as HEIGHTS
 from sumo_adv.simulation.layers import ElevatedLane, Heights, lane_heights
 from sumo_adv.simulation.permissions import ALL_CLASSES, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
 
-MOVEMENT_OF_LETTER = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
+MOVEMENT_OF_LETTER = {
+    "s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn", "T": "u-turn",
+}  # fmt: skip
+"""The movement by SUMO's letter of a connection's direction; ``T`` is a turnaround in left-hand traffic."""
 LANE_SEARCH_DISTANCE_M = 6.0  # from a point to a lane that could contain it; no lane is wider
 MAX_LANE_ANGLE_RAD = 0.6  # between a vehicle's heading and the direction of its lane
 MAX_PATH_CURVATURE_1_M = 0.195  # curvature that a car can follow within the limit of 0.2

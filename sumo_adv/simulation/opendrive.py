@@ -294,8 +294,9 @@ Limit = tuple[float, float | None]  # where the limit begins [m], and the limit 
 def _write_limits(path: Path, road: Element) -> None:
     """Write the limits of the road's types to the lanes that have no limit of their own there."""
     types = _sorted((_number(path, each, "s", "0"), _limit(path, each.find("speed"))) for each in road.findall("type"))
-    for section in road.iter("laneSection"):
-        start = _number(path, section, "s", "0")
+    sections = [(_number(path, section, "s", "0"), section) for section in road.iter("laneSection")]
+    for start, section in sections:
+        end = min((s for s, _ in sections if s > start), default=_number(path, road, "length"))
         general = [(max(0.0, s - start), limit) for s, limit in types]
         general = [each for k, each in enumerate(general) if k + 1 == len(general) or general[k + 1][0] > each[0]]
         for lane in _motor(section):
@@ -306,6 +307,8 @@ def _write_limits(path: Path, road: Element) -> None:
             known = False
             last: float | None = None
             for offset, limit in _merged(general, own):
+                if offset > 0.0 and offset >= end - start:
+                    break  # netconvert would lose the lanes of later sections
                 value = UNKNOWN_LIMIT_M_S if limit is None and known else limit
                 if value is not None and value != last:
                     SubElement(lane, "speed", sOffset=f"{offset:.9g}", max=f"{value:.6g}", unit="m/s")

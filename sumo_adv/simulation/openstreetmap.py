@@ -8,12 +8,14 @@ Ways are cut where nodes are missing, and tags are made explicit.
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import itertools
+import math
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
@@ -21,6 +23,7 @@ from xml.etree.ElementTree import Element, SubElement
 from xml.sax.saxutils import quoteattr
 
 from sumo_adv.errors import UsageError
+from sumo_adv.geometry import wrap
 from sumo_adv.simulation.map_content import MapContent, parse_map
 
 MAX_LANES_OF_WAY = 30  # the widest real roads have about 25 lanes, and netconvert creates any number that a tag gives
@@ -33,6 +36,11 @@ CLOSED_TO_CARS = frozenset(("no", "agricultural", "forestry", "emergency", "mili
 SIDED = ("sidewalk", "cycleway", "busway")
 SWAP = {"left": "right", "right": "left"}
 ONE_WAY = ("motorway", "motorway_link")
+MOTOR_ROADS = frozenset(
+    f"{kind}{link}" for kind in ("motorway", "trunk", "primary", "secondary", "tertiary") for link in ("", "_link")
+) | {"unclassified", "residential", "living_street", "service", "road"}
+"""Values of ``highway`` whose roads say on which side traffic drives."""
+MIN_ROUNDABOUT_TURN_RAD = math.radians(120.0)  # a lane that bypasses a roundabout turns by 90 degrees the other way
 FIRST_PIECE_ID = 10**17  # first id for the pieces of ways that were cut; OpenStreetMap's ids have 11 digits
 Tags = dict[str, str]
 
@@ -47,14 +55,17 @@ def read_openstreetmap(path: Path) -> MapContent:
         The content of the map.
 
     Raises:
-        UsageError: The map is damaged, is not OpenStreetMap, or has a way with too many lanes.
+        UsageError: The map is damaged, is not OpenStreetMap, has a way with too many lanes, or says that traffic drives
+            on both sides.
     """
     parse_map(path, lambda tag, attributes: None, "osm")
     known: set[str] = set()  # ids of nodes whose place is known
     kinds: dict[str, str] = {}
     nodes: dict[str, list[str]] = {}
     lost: Counter[str] = Counter()
-    left_hand = False
+    ruled = _Sides()  # by the relations of countries
+    driven = _Sides()  # by the tags of roads
+    roundabouts: dict[str, list[str]] = {}  # their nodes in the direction of traffic
     for element in _elements(path):
         name, tags = element.get("id", ""), _tags(element)
         if tags.get("type") == "lanelet" and element.tag == "relation":
@@ -62,11 +73,17 @@ def read_openstreetmap(path: Path) -> MapContent:
                 f"{path} is a Lanelet2 map, not OpenStreetMap: convert it to OpenDRIVE first, for example with "
                 "CommonRoad's Scenario Designer."
             )
-        known.update(_placed(element))
+        known.update(place for place, *_ in _placed(element))
+        if element.tag == "relation" and "boundary" in tags:
+            ruled.add(f"relation {name}", tags.get("driving_side"))
         if element.tag == "way" and ("highway" in tags or "railway" in tags):
             kinds[name] = tags["highway"] if "highway" in tags else f"railway {tags['railway']}"
             nodes[name] = [each.get("ref", "") for each in element.iterfind("nd")]
-            left_hand = left_hand or tags.get("driving_side") == "left"
+            if tags.get("highway") in MOTOR_ROADS:
+                driven.add(f"way {name}", tags.get("driving_side"))
+                if tags.get("junction") == "roundabout":
+                    backward = tags.get("oneway") in ("-1", "reverse")
+                    roundabouts[name] = nodes[name][::-1] if backward else nodes[name]
             _check_lanes(path, name, tags)
             lost["bus lane without a side"] += _is_without_side(tags)
             lost["closing of a lane to cars"] += _closed_lanes(tags)
@@ -80,8 +97,13 @@ def read_openstreetmap(path: Path) -> MapContent:
         elif runs[0] != slice(0, len(along)):
             lost["way cut where nodes are missing"] += 1
     roads = sum(not kind.startswith("railway") for kind in kinds.values())
+    if not ruled.known:
+        _add_roundabouts(path, roundabouts, driven)
+    sides = ruled if ruled.known else driven
+    left_hand = sides.is_left(path)
     write = partial(_write, path, known, left_hand)
-    return MapContent(kinds, roads, left_hand, {kind: number for kind, number in lost.items() if number}, write)
+    missing = {kind: number for kind, number in lost.items() if number}
+    return MapContent(kinds, roads, left_hand, missing, write, says_side=sides.known)
 
 
 def _elements(path: Path) -> Iterator[Element]:
@@ -102,11 +124,11 @@ def _tags(element: Element) -> Tags:
     return {tag.get("k", ""): tag.get("v", "") for tag in element.iterfind("tag")}
 
 
-def _placed(element: Element) -> Iterator[str]:
-    """Yield the ids of nodes that an element places: its own, or those of the nodes that a way carries."""
+def _placed(element: Element) -> Iterator[tuple[str, str, str]]:
+    """Yield id, latitude and longitude of the nodes that an element places: itself, or those that a way carries."""
     for node, name in ((element, "id"), *((each, "ref") for each in element.iterfind("nd"))):
         if "lat" in node.attrib and "lon" in node.attrib:
-            yield node.get(name, "")
+            yield node.get(name, ""), node.attrib["lat"], node.attrib["lon"]
 
 
 def _check_lanes(path: Path, way: str, tags: Tags) -> None:
@@ -126,6 +148,60 @@ def _count(text: str) -> int | None:
         return int(float(text))
     except (ValueError, OverflowError):
         return None
+
+
+# -- the side of the road ---------------------------------------------------------------------------------------------
+
+
+class _Sides:
+    """What says that traffic drives on the left, and what says the right."""
+
+    def __init__(self) -> None:
+        self._left: list[str] = []
+        self._right: list[str] = []
+
+    def add(self, what: str, side: str | None) -> None:
+        """Note what a tag ``driving_side`` says."""
+        if side in SWAP:
+            (self._left if side == "left" else self._right).append(what)
+
+    @property
+    def known(self) -> bool:
+        """Whether anything says a side."""
+        return bool(self._left or self._right)
+
+    def is_left(self, path: Path) -> bool:
+        """Return whether traffic drives on the left; refuse traffic on both sides."""
+        if self._left and self._right:
+            raise UsageError(
+                f"{path} has traffic on both sides: by {self._left[0]}, it drives on the left, by {self._right[0]} on "
+                "the right. SUMO has one side for all; correct driving_side or the direction of the roundabout, or "
+                "split the map."
+            )
+        return bool(self._left)
+
+
+def _add_roundabouts(path: Path, roundabouts: Mapping[str, Sequence[str]], sides: _Sides) -> None:
+    """Note the sides of roundabouts, which go clockwise in left-hand traffic."""
+    wanted = {node for nodes in roundabouts.values() for node in nodes}
+    places: dict[str, tuple[float, float]] = {}
+    for element in _elements(path) if wanted else ():
+        for name, lat, lon in (each for each in _placed(element) if each[0] in wanted):
+            with contextlib.suppress(ValueError):  # no numbers, which netconvert refuses
+                places[name] = float(lon) * math.cos(math.radians(float(lat))), float(lat)
+    for name, nodes in roundabouts.items():
+        closed = len(nodes) > 2 and nodes[0] == nodes[-1]
+        turn = _turn([places[node] for node in (*nodes, *nodes[1 : 1 + closed]) if node in places])
+        if abs(turn) >= MIN_ROUNDABOUT_TURN_RAD:
+            sides.add(f"the roundabout way {name}", "left" if turn < 0.0 else "right")
+
+
+def _turn(points: Sequence[tuple[float, float]]) -> float:
+    """Return by how much a line turns along its points, positive counter-clockwise [rad]."""
+    headings = [
+        math.atan2(by - ay, bx - ax) for (ax, ay), (bx, by) in itertools.pairwise(points) if (ax, ay) != (bx, by)
+    ]
+    return sum(wrap(after - before) for before, after in itertools.pairwise(headings))
 
 
 # -- writing it for netconvert ----------------------------------------------------------------------------------------

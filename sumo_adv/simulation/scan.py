@@ -25,6 +25,7 @@ from sumo_adv.simulation.sumo_states import PERSON
 
 MAX_LANE_NUMBER = 1e6  # upper bound of lengths [m] and speeds [m/s]; beyond any real lane
 _Handler = Callable[[str, dict[str, str]], None]
+_TextHandler = Callable[[str], None]
 ENCODINGS = ("utf-8", "utf-16", "iso-8859-1", "us-ascii", "ascii")  # encodings that expat supports itself
 _DRIVING = ("vehicle", "trip", "flow")
 READ = {"include": "href", "variableSpeedSign": "file", "calibrator": "file"}
@@ -201,37 +202,57 @@ def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:
     return routes
 
 
-_DEPARTING = (*_DRIVING, "person", "personFlow", "container", "containerFlow")
+_FLOWS = ("flow", "personFlow", "containerFlow")
+_DEPARTING = ("vehicle", "trip", "person", "container", *_FLOWS)
 _LATER = ("triggered", "containerTriggered", "split")  # departures that another departure triggers
 
 
-def first_departure(files: Sequence[Path]) -> float:
+def first_departure(files: Sequence[Path], since: float = 0.0) -> float:
     """Return the earliest departure time [s].
 
-    A flow without ``begin`` begins at 0, like the simulation.
+    A flow without ``begin`` begins with its ``interval``, or with the simulation if it is in none. SUMO discards
+    departures before the simulation begins.
 
     Args:
         files: Route and additional files.
+        since: The begin of the simulation [s].
 
     Returns:
-        The time [s]; 0 if no file gives a time.
+        The time [s]; ``since`` if no file gives a time from then on.
 
     Raises:
         UsageError: A file is damaged.
     """
     times: list[float] = []
+    interval: dict[str, str] = {}  # the attributes of the open interval
 
     def see(tag: str, attributes: dict[str, str]) -> None:
-        if tag in _DEPARTING:
-            text = attributes.get("depart", attributes.get("begin", "0"))
-            try:
-                times.append(parse_seconds(files[0], "departure", text) or 0.0)
-            except UsageError:  # a word instead of a time
-                times.extend([] if text in _LATER else [0.0])
+        nonlocal interval
+        if tag == "interval":
+            interval = attributes
+        elif tag in _FLOWS:
+            begin, end = (attributes.get(key, interval.get(key)) for key in ("begin", "end"))
+            if end is None or time_of(end) > since:
+                times.append(max(time_of(begin), since))
+        elif tag in _DEPARTING:
+            text = attributes.get("depart", "0")
+            if text not in _LATER and time_of(text) >= since:
+                times.append(time_of(text))
+
+    def leave(tag: str) -> None:
+        nonlocal interval
+        if tag == "interval":
+            interval = {}
+
+    def time_of(text: str | None) -> float:
+        try:
+            return parse_seconds(files[0], "departure", text) or 0.0
+        except UsageError:  # a word instead of a time, such as now
+            return since
 
     for file in files:
-        parse_xml(file, see)
-    return min(times, default=0.0)
+        parse_xml(file, see, leave)
+    return min(times, default=since)
 
 
 def parse_seconds(path: Path, key: str, value: str | None) -> float | None:
@@ -259,8 +280,10 @@ def parse_seconds(path: Path, key: str, value: str | None) -> float | None:
     return total if total >= 0.0 else None
 
 
-def parse_xml(path: Path, start: _Handler, end: Callable[[str], None] | None = None) -> tuple[Path, ...]:
-    """Pass the start and end of every element to handlers.
+def parse_xml(
+    path: Path, start: _Handler, end: _TextHandler | None = None, text: _TextHandler | None = None
+) -> tuple[Path, ...]:
+    """Pass the start and end of every element, and the text between, to handlers.
 
     Files that SUMO would read because this file names them (``READ``) are read too. The elements below their roots are
     passed at the place where the file is named.
@@ -269,6 +292,7 @@ def parse_xml(path: Path, start: _Handler, end: Callable[[str], None] | None = N
         path: The file.
         start: Receives the tag and attributes of an element that starts.
         end: Receives the tag of an element that ends.
+        text: Receives pieces of text, only from the file itself.
 
     Returns:
         The other files that were read.
@@ -277,13 +301,14 @@ def parse_xml(path: Path, start: _Handler, end: Callable[[str], None] | None = N
         UsageError: A file is damaged or missing, or includes itself.
     """
     others: dict[Path, None] = {}
-    _parse(path, start, end, (), others)
+    _parse(path, start, end, (), others, text)
     return tuple(others)
 
 
 def _parse(
-    path: Path, start: _Handler, end: Callable[[str], None] | None, within: tuple[Path, ...], others: dict[Path, None]
-) -> None:
+    path: Path, start: _Handler, end: _TextHandler | None, within: tuple[Path, ...], others: dict[Path, None],
+    text: _TextHandler | None = None,
+) -> None:  # fmt: skip
     """Read a file and the files that it names, as ``parse_xml`` does; ``within`` are the files that name this one."""
     outside = bool(within)  # an included file in which no element below the root has begun
     shown: list[bool] = []  # for each open element, whether it was passed to ``start``
@@ -313,10 +338,10 @@ def _parse(
         others[file] = None
         _parse(file, start, end, (*within, path.resolve()), others)
 
-    _read(path, started, None if end is None else ended)
+    _read(path, started, None if end is None else ended, text)
 
 
-def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> None:
+def _read(path: Path, start: _Handler, end: _TextHandler | None, text: _TextHandler | None) -> None:
     """Pass the elements of this file alone to the handlers."""
 
     def known_encoding(version: str, encoding: str | None, standalone: int) -> None:
@@ -332,6 +357,8 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
     parser.StartElementHandler = start
     if end is not None:
         parser.EndElementHandler = end
+    if text is not None:
+        parser.CharacterDataHandler = text
     parser.XmlDeclHandler = known_encoding
     try:
         with _open(path) as file:

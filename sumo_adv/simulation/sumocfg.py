@@ -2,8 +2,11 @@
 
 Measured with SUMO 1.28:
 
-- Each element with a ``value`` (or ``v``) is an option, in any section.
+- Each element with a ``value`` (or ``v``) is an option, in any section. The text of an element without children counts
+  as its value, too.
 - Commas separate the files of a list.
+- ``%20`` in a file's name is a space, and so on. A name with a ``%`` that two hexadecimal digits do not follow is taken
+  as it is.
 - ``${NAME}`` is an environment variable; it is empty if the variable is not set.
 - ``~`` at the start of a file is the home folder.
 - An option that is named twice, even by two of its names, ends SUMO.
@@ -14,9 +17,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import unquote
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.scan import parse_seconds, parse_xml
@@ -47,6 +51,7 @@ SYNONYMS: Mapping[str, str] = {
 """All names of SUMO's options that have several (``sumo --save-template``), with the name that SUMO uses itself."""
 _KNOWN_ATTRIBUTES = frozenset(("value", "v", "type", "help", "synonymes"))
 _ENVIRONMENT_VARIABLE = re.compile(r"\$\{(.+?)\}")
+_NO_ESCAPE = re.compile(r"%(?![0-9A-Fa-f]{2})")  # a percent sign that stands for itself
 _SECRET = re.compile(
     r"KEY|TOKEN|SECRET|PASSW|CREDENTIAL|SUMO_ADV_", re.IGNORECASE
 )  # parts of variable names that suggest a secret
@@ -133,7 +138,7 @@ def as_sumo_reads_it(path: Path) -> dict[str, str]:
     """
     given, _ = _options(path, os.environ)
     return {
-        name: str((path.parent / value).absolute()) if (path.parent / value).is_file() else value
+        name: str(file.absolute()) if (file := path.parent / _decoded(value)).is_file() else value
         for name, value in given.items()
         if name not in _FILES and not only_shows(name)
     }
@@ -143,11 +148,26 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
     """Return the options by SUMO's long names, and sentences about ignored attributes and unset variables."""
     options: dict[str, str] = {}
     notes: list[str] = []
+    text: list[str] | None = None  # the text of the open element; None after a child of it
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal text
+        text = []
         values = [attributes[name] for name in ("value", "v") if name in attributes]
-        if not values:
-            return
+        if values:
+            give(tag, attributes, values)
+
+    def read(part: str) -> None:
+        if text is not None:
+            text.append(part)
+
+    def end(tag: str) -> None:
+        nonlocal text
+        if text is not None and (value := "".join(text).strip()):
+            give(tag, {}, [value])
+        text = None
+
+    def give(tag: str, attributes: Mapping[str, str], values: Sequence[str]) -> None:
         name = SYNONYMS.get(tag, tag)
         if name in options or len(values) > 1:
             raise UsageError(f"{path} names the option '{name}' twice, which SUMO refuses: remove one of the two.")
@@ -166,7 +186,7 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
         if value:
             options[name] = value
 
-    parse_xml(path, start)
+    parse_xml(path, start, end, read)
     return options, tuple(notes)
 
 
@@ -215,4 +235,9 @@ def _step(path: Path, step: float, *, named: bool) -> tuple[float | None, tuple[
 
 def _files(configuration: Path, value: str) -> tuple[Path, ...]:
     """Return the files of SUMO's comma-separated list, resolved against the configuration's folder."""
-    return tuple(configuration.parent / name.strip() for name in value.split(",") if name.strip())
+    return tuple(configuration.parent / _decoded(name.strip()) for name in value.split(",") if name.strip())
+
+
+def _decoded(name: str) -> str:
+    """Return a file's name with its percent escapes replaced, which SUMO writes for spaces and other characters."""
+    return name if _NO_ESCAPE.search(name) else unquote(name)
