@@ -355,7 +355,7 @@ def refuse_address(table: Mapping[str, Any], said: str, *, own_key: bool = False
 _chosen_file: list[Path] = []  # the file from which settings are being loaded
 
 
-def load_settings(file: Path | None = None, **given: Any) -> Settings:
+def load_settings(file: Path | None = None, /, **given: Any) -> Settings:
     """Load settings from arguments, the environment and a TOML file.
 
     Args:

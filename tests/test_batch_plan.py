@@ -43,6 +43,14 @@ def plan_of(folder: Path = ROOT, **table: Any) -> CampaignPlan:
 # -- the product
 
 
+@pytest.mark.parametrize("here", [".", ""])
+def test_the_folder_of_the_plan_can_be_an_input(tmp_path: Path, here: str) -> None:
+    with pytest.raises(UsageError, match=r"holds no scenario, \.sumocfg or network\.$"):
+        plan_of(tmp_path, inputs=[here])
+    shutil.copy(SCENARIOS / "leader_two_lanes.toml", tmp_path / "mine.toml")
+    assert [job.input.path for job in plan_of(tmp_path, inputs=[here]).jobs] == [tmp_path / "mine.toml"]
+
+
 def test_the_product_is_in_the_order_of_the_lists() -> None:
     plan = plan_of(
         inputs=["motorway_cut_in_left", "leader_two_lanes"], egos=["idm", "krauss"], seeds=2,
@@ -282,6 +290,38 @@ def test_a_pack_that_was_broken_off_is_packed_again(tmp_path: Path) -> None:
     assert pack_runs(tmp_path).runs == 0 and list((tmp_path / "runs").iterdir()) == []
     shutil.copytree(kept, tmp_path / "runs" / "z")
     assert pack_runs(tmp_path).runs == 1 and set(packed_rows(tmp_path)) == {"a", "b", "z"}
+
+
+def test_a_run_that_was_made_again_goes_into_a_later_pack_which_counts(tmp_path: Path) -> None:
+    """Run "a" is packed as a failure, is run again, and is packed again; "b" is only in the first pack.
+
+    The packs have the numbers 9999 and 10000, whose names are not in the order of their letters.
+    """
+    runs_in(tmp_path, "ab")
+    pack_runs(tmp_path)
+    for ending in ("json", "zip"):
+        (tmp_path / "packs" / f"0000.{ending}").rename(tmp_path / "packs" / f"9999.{ending}")
+    run = tmp_path / "runs" / "a"
+    run.mkdir()
+    write_failure(run, job("a"), "a failed in another way", "because")
+    assert pack_runs(tmp_path).runs == 1 and not run.exists()
+    assert sorted(p.name for p in (tmp_path / "packs").glob("*.json")) == ["10000.json", "9999.json"]
+    failures = {name: row["failure"] for name, row in packed_rows(tmp_path).items()}
+    assert failures == {"a": "a failed in another way", "b": "b failed"}
+    assert packed_texts(tmp_path, "learnt.json") == {"b": '["b"]'}  # the new run "a" learnt nothing
+    unpack_runs(tmp_path, ["b", "a"], tmp_path / "all", staged)
+    assert "in another way" in (tmp_path / "all" / "a" / "outcome.json").read_text()
+    assert (tmp_path / "all" / "b" / "learnt.json").exists()
+
+
+def test_only_numbered_files_are_packs_and_a_pack_stays_readable(tmp_path: Path) -> None:
+    runs_in(tmp_path, "ab")
+    with pytest.raises(UsageError, match="at most 10000 runs, not 10001; give a smaller --most"):
+        pack_runs(tmp_path, most=10_001)
+    pack_runs(tmp_path, most=10_000)
+    (tmp_path / "packs" / ".0001.x7q2.json").write_text('{"schema": 1, "ru')  # killed while its index was written
+    assert set(packed_rows(tmp_path)) == set(packed_texts(tmp_path, "outcome.json")) == {"a", "b"}
+    assert len(unpack_runs(tmp_path, [], tmp_path / "all", staged)) == 2
 
 
 def test_damaged_packs_are_a_sentence(tmp_path: Path) -> None:

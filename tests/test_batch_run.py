@@ -68,6 +68,29 @@ def again(program: Program, whole: tuple[Program, Done]) -> Path:
 # -- the table
 
 
+def test_a_scenario_brings_its_sensors_and_attackers_unless_the_plan_has_its_own(program: Program) -> None:
+    """As in ``run``: the ego of one scenario sees 80 m with 0.3 m of noise, and the other has two attackers."""
+    text = (ROOT / "scenarios" / f"{INPUTS[0]}.toml").read_text(encoding="utf-8")
+    text = text.replace('"../', f'"{ROOT}/').replace('"demand/', f'"{ROOT}/scenarios/demand/')
+    sensing = "[ego.sensing]\nposition_noise = 0.3\nrange = 80.0\n"
+    attackers = "".join(f'[[attackers]]\nid = "{name}"\n' for name in ("left_ahead", "right_ahead"))
+    for name, more in (("sensing", sensing), ("attackers", attackers)):
+        (program.folder / f"{name}.toml").write_text(f"{text}\n{more}", encoding="utf-8")
+
+    def settings(out: str, *options: str) -> dict[str, dict[str, Any]]:
+        inputs = ("sensing.toml", "attackers.toml", "--egos", "ego_samples:CalmEgo")
+        done = program.here("batch", *inputs, *QUICK, *options, "--workers", "1", "--out", out, "--json")
+        assert summary(done)["failed"] == 0
+        manifests = [json.loads(file.read_text()) for file in (program.folder / out).glob("runs/*/manifest.json")]
+        return {each["name"]: each["settings"] for each in manifests}
+
+    (program.folder / "own.settings.toml").write_text("[ego_sensing]\nrange = 60.0\n", encoding="utf-8")
+    theirs, own = settings("out"), settings("own", "--settings", "own.settings.toml")
+    assert theirs["attackers"]["adversaries"] == 2 and theirs["sensing"]["adversaries"] == 1
+    seen = [each["sensing"]["ego_sensing"] for each in (theirs, own)]
+    assert [(each["position_noise"], each["range"]) for each in seen] == [(0.3, 80.0), (0.0, 60.0)]
+
+
 def test_a_batch_leaves_whole_folders_and_a_table_in_the_plans_order(whole: tuple[Program, Done]) -> None:
     program, done = whole
     assert (done.status, without_progress(done.err)) == (0, "")  # no bar, nothing but the summary: this is a pipe
@@ -374,8 +397,30 @@ def test_off_learns_nothing_and_after_learns_in_the_plans_order(
     assert first
     program, _ = taught[0]
     again = summary(program.here(*TAUGHT, "--json"))
-    assert again["ran"] == 0 and evidence_of(program.folder / "bank.sqlite") == first
+    assert (again["ran"], again["learnt"]) == (0, 0) and evidence_of(program.folder / "bank.sqlite") == first
     assert evidence_of(whole[0].home / "data" / "sumo_adv" / "memory_bank.sqlite") == []
+
+
+@pytest.mark.parametrize("of_an_earlier_version", [False, True])
+def test_episodes_that_come_later_are_taught_too_and_only_they(
+    program: Program, taught: list[tuple[Program, dict[str, Any]]], of_an_earlier_version: bool
+) -> None:
+    """The bank is as before the first four episodes, so it shows what the two of the third seed teach."""
+    before = taught[0][0].folder
+    shutil.copytree(before / "out", program.folder / "out")
+    plan = program.folder / "out" / "plan.json"
+    plan.write_text(plan.read_text().replace(str(before), str(program.folder)))  # where the bank is
+    shutil.copy(ROOT / "memory_bank.sqlite", program.folder / "bank.sqlite")
+    if of_an_earlier_version:
+        (program.folder / "out" / "taught.json").write_text('{"written": 4, "bank": "bank.sqlite"}', encoding="utf-8")
+    more = (*TAUGHT, "--seeds", "3", "--force", "--json")
+    report = summary(program.here(*more))
+    learnt = evidence_of(program.folder / "bank.sqlite")
+    assert report["ran"] == 2 and report["learnt"] == len(learnt) > 0
+    assert {evidence.seed for evidence in learnt} == {2}
+    again = summary(program.here(*more))
+    assert (again["ran"], again["learnt"]) == (0, 0)
+    assert evidence_of(program.folder / "bank.sqlite") == learnt
 
 
 def evidence_of(bank: Path) -> Sequence[Any]:

@@ -23,6 +23,7 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
         ({"delays": (-3.0,)}, "no time may be negative"),
         ({"attempts": 0}, "attempts"),
         ({"trigger": -1.0}, "trigger"),
+        ({"file": "x"}, "'file'"),
     ],
 )
 def test_what_does_not_fit_is_one_sentence(given: dict[str, object], says: str) -> None:

@@ -112,6 +112,39 @@ def test_a_model_without_a_key_or_a_recording() -> None:
     assert "built-in expert" in none.found
 
 
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ({"ALL_PROXY": "socks5://{proxy}"}, "SOCKS"),
+        ({"HTTPS_PROXY": "socks7://{proxy}"}, "Unknown scheme"),
+        ({"HTTPS_PROXY": "http://{proxy}", "SSL_CERT_FILE": "gone.pem"}, "No such file"),
+    ],
+)
+def test_a_proxy_or_certificate_of_the_machine_that_cannot_be_used(
+    program: Program, setting: dict[str, str], says: str
+) -> None:
+    """Nothing is sent. With ``fallback``, the built-in expert plays."""
+    with socket.socket() as proxy:
+        proxy.bind(("127.0.0.1", 0))
+        proxy.listen()
+        place = f"127.0.0.1:{proxy.getsockname()[1]}"
+        program.variables = {
+            **dict.fromkeys(("ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY", "NO_PROXY", "SSL_CERT_FILE"), ""),
+            **{name: value.format(proxy=place) for name, value in setting.items()},
+            "SUMO_ADV_LLM_BASE_URL": "https://models.invalid/v1", "SUMO_ADV_LLM_API_KEY": KEY,
+        }  # fmt: skip
+        done = program.here("doctor", "--llm", "mine")
+        assert done.status == 1 and "cannot be used (" in done.out and says in done.out, done.out
+        assert "correct or unset ALL_PROXY" in done.out
+        if says == "SOCKS":
+            done = program.here(
+                "run", "leader_two_lanes", "--llm", "mine", "--fallback", "builtin", "--attempts", "1",
+                "--learn", "off", "--out", "out",
+            )  # fmt: skip
+            assert done.status == 0 and len(done.outcome["attempts"]) == 1, done.err
+            assert "The proxy or certificate setting of this machine" in json.dumps(done.outcome["agents"])
+
+
 def test_the_command_fails_with_a_server_that_drops_every_question(program: Program) -> None:
     with ModelServer(lambda request: Drop(), models(max_model_len=32_768)) as server:
         program.variables = {**server.environment(), "SUMO_ADV_LLM_QUESTION_SECONDS": "2"}

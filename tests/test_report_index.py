@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_samples import Program
+from cli_samples import Program, refused
 from page_samples import ROOT, Visit, attempt, chromium, make_run, meeting, outcome
 from test_coverage import CUT_IN_BESIDE
 from test_report_page import HOSTILE, data_of
@@ -106,6 +106,10 @@ def test_some_pages_now_the_most_critical_first(batch: Path, tmp_path: Path) -> 
     assert (made.pages, made.made) == (1, 1) and not (tmp_path / "out" / "pages" / "cccc.html").exists()
     made = write_report(batch / "runs", tmp_path / "out", "b", table, Packs())
     assert (made.pages, made.made) == (3, 2)
+
+
+def test_pages_below_a_file_are_a_sentence(batch: Path, program: Program) -> None:
+    refused(program.here("report", batch, "--out", batch / "results.csv" / "pages"), 2, "give another --out")
 
 
 def test_egos_against_outcomes_with_intervals() -> None:

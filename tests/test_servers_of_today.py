@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
 from typing import Any
 
 import pytest
@@ -72,6 +74,21 @@ def test_thought_is_no_answer() -> None:
     assert without_thought("<think>a</think> b <thinking>c</thinking>") == "b"
     assert without_thought("a</think>b") == "b"
     assert without_thought("<think>a, and never an end") == ""
+
+
+def test_thought_ends_at_its_first_closing_tag() -> None:
+    """The same as with a regular expression, in every order of five parts."""
+    thought, end = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL), re.compile(r"</think(?:ing)?>")
+    for parts in itertools.product(("<think>", "<thinking>", "</think>", "</thinking>", "a\n", "b"), repeat=5):
+        text = "".join(parts)
+        left = end.split(thought.sub("", text))[-1]
+        assert without_thought(text) == ("" if left.lstrip().startswith("<think") else left.strip()), text
+
+
+@pytest.mark.parametrize("tag", ["<think>", "<thinking>", "</think>", "a</think><think>"])
+def test_tags_without_end_are_read_at_once(tag: str) -> None:
+    """A regular expression with ``.*?`` takes hours for these 2 MB."""
+    assert without_thought(tag * (2_000_000 // len(tag))) == ""
 
 
 def test_a_model_that_only_thinks_is_asked_for_less_in_the_way_that_its_server_knows() -> None:

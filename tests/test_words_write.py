@@ -107,6 +107,7 @@ def test_without_a_model_the_nearest_shipped_scenarios_are_named(tmp_path: Path)
 def test_a_report_is_read_from_a_file_and_nothing_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "report.txt").write_text(CUT_IN)
     (tmp_path / "my.rou.xml").write_text("mine")
+    (tmp_path / "my.add.xml").write_text("mine, and not a part of what was written")
     with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
         run = program(tmp_path, server)
         taken = run.here("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK)
@@ -118,6 +119,31 @@ def test_a_report_is_read_from_a_file_and_nothing_is_overwritten(tmp_path: Path)
         done = run.here("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK, "--force")
     assert done.status == 0, done.err
     assert tomllib.loads((tmp_path / "my.toml").read_text())["written"]["words"] == CUT_IN
+    assert "<routes" in (tmp_path / "my.rou.xml").read_text()
+    assert (tmp_path / "my.add.xml").read_text().startswith("mine")
+
+
+def test_force_replaces_what_was_written_and_no_file_that_is_given(tmp_path: Path) -> None:
+    """The first scenario has a road of its own in my.net.xml. The second one has the user's road."""
+    on_my_road = cut_in()
+    on_my_road["scene"]["road"] = {"kind": "given"}
+    drafts = iter([cut_in(), on_my_road])
+    with ModelServer(lambda request: READ if is_reader(request) else next(drafts)) as server:
+        run = program(tmp_path, server)
+        assert run.here("write", CUT_IN, "--llm", "gpt-test", *QUICK).status == 0
+        road = (tmp_path / "my.net.xml").read_bytes()
+        (tmp_path / "town.net.xml").write_bytes(road)
+        (tmp_path / "town.txt").write_text(CUT_IN)
+        (tmp_path / "town.rou.xml").hardlink_to(tmp_path / "town.txt")
+        asked = len(server.asked)
+        options = ("--llm", "gpt-test", "--out", "town.toml", "--run-out", "run", "--force")
+        for given in ((CUT_IN, "--network", "town.net.xml"), ("--report", "town.txt")):
+            done = run.here("write", *given, *options)
+            assert done.status == 2 and "which you gave as an input; give another --out." in done.err, done.err
+        assert len(server.asked) == asked and (tmp_path / "town.net.xml").read_bytes() == road
+        done = run.here("write", CUT_IN, "--network", "town.net.xml", "--llm", "gpt-test", *QUICK, "--force")
+    assert done.status == 0, done.err
+    assert not (tmp_path / "my.net.xml").exists() and (tmp_path / "town.net.xml").read_bytes() == road
 
 
 def test_the_scenario_asks_for_its_attack_again(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from sumo_adv.campaigns.results import (
     Row,
     WorkerSetup,
     is_failed,
+    read_row,
     results_table,
     write_csv,
     write_parquet,
@@ -112,7 +113,7 @@ class Summary:
         seconds: The time that it took [s].
         bytes: The size of the episodes that were run now, without their inputs.
         input_bytes: The size of all inputs.
-        learnt: The number of pieces written into the bank; None if the bank was not taught.
+        learnt: The number of pieces written into the bank now; None if the bank was not taught.
         bank_hash: The hash of the bank's snapshot.
     """
 
@@ -171,6 +172,7 @@ def run_batch(plan: CampaignPlan, orders: Orders, parts: CampaignParts, watcher:
             setup = _prepare(store, plan, document, orders, parts, summary)
         jobs = {job.id: job for job in plan.jobs}
         rows = store.rows(jobs)
+        taught = _taught(store, plan, orders, rows) if plan.learn is Learn.AFTER else set()
         if orders.retry_failed:
             rows = {name: row for name, row in rows.items() if not is_failed(row)}
         watcher.begin(len(jobs), list(rows.values()))
@@ -202,7 +204,7 @@ def run_batch(plan: CampaignPlan, orders: Orders, parts: CampaignParts, watcher:
                 if orders.parquet:
                     write_parquet(store.folder / "results.parquet", summary.rows, varied)
         if plan.learn is Learn.AFTER and not summary.stopped:
-            summary.learnt = _teach(store, plan, orders, rows)
+            summary.learnt = _teach(store, plan, orders, rows, taught)
         summary.input_bytes = sum(p.stat().st_size for p in (store.folder / "inputs").glob("*"))
     summary.seconds = time.perf_counter() - began
     return summary
@@ -243,30 +245,71 @@ def _workers(setup: WorkerSetup, orders: Orders, scratch: Path, store: Store, st
     return ClusterWorkers(setup, orders.pace, orders.ray, orders.versions, store, stop)
 
 
-def _teach(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, Row]) -> int:
-    """Write the lessons into the bank, once, in the plan's order. Raise BankError or UsageError."""
+def _taught(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, Row]) -> set[str]:
+    """Read the ids of the episodes whose lessons are in the bank. Raise UsageError if the file is damaged.
+
+    An earlier version kept no ids. The lessons of all episodes that are finished now count as taught then.
+    """
     marker = store.folder / TAUGHT_FILE
-    if marker.exists():
-        try:
-            return int(read_json(marker)["written"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UsageError(
-                f"{marker} is damaged ({error}); delete it to write the lessons into the bank again."
-            ) from error
+    if not marker.exists():
+        return set()
+    try:
+        kept = dict(read_json(marker))
+        if "episodes" in kept:
+            return set(kept["episodes"])
+        written = int(kept["written"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(
+            f"{marker} is damaged ({error}); delete it to write the lessons into the bank again."
+        ) from error
+    taught = {name for name, _, _ in _learnt(store, plan, rows)}
+    _mark_taught(store, orders, written, taught)
+    return taught
+
+
+def _learnt(store: Store, plan: CampaignPlan, rows: Mapping[str, Row]) -> Iterator[tuple[str, str, str]]:
+    """Yield the lessons of finished episodes in the plan's order: the id, the text, and its name for errors."""
     packed = packed_texts(store.folder, LEARNT_FILE)
+    for job in plan.jobs:
+        if job.id not in rows:
+            continue
+        file = store.runs / job.id / LEARNT_FILE
+        if read_row(file.parent) is not None:  # newer than a packed run of the same id
+            if file.exists():
+                yield job.id, file.read_text(encoding="utf-8", errors="replace"), f"The file {file}"
+        elif job.id in packed:
+            yield job.id, packed[job.id], f"The lessons of the packed run {job.id}"
+
+
+def _teach(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, Row], taught: set[str]) -> int:
+    """Write the lessons of episodes that are not in ``taught`` into the bank, in the plan's order.
+
+    Returns:
+        The number of pieces written.
+
+    Raises:
+        BankError: The bank cannot be written.
+        UsageError: Lessons are damaged, or the results cannot be written.
+    """
+    done = set(taught)
 
     def lessons() -> Iterator[Lessons]:
-        for job in plan.jobs:
-            file = store.runs / job.id / LEARNT_FILE
-            if job.id in packed:
-                yield from lessons_of(packed[job.id], f"The lessons of the packed run {job.id}")
-            elif job.id in rows and file.exists():
-                yield from lessons_of(file.read_text(encoding="utf-8", errors="replace"), f"The file {file}")
+        for name, text, what in _learnt(store, plan, rows):
+            if name not in taught:
+                yield from lessons_of(text, what)
+                done.add(name)
 
     with MemoryBank.open(orders.bank) as bank, sentences(orders.out):
         written = teach(bank, lessons())
-        write_text(marker, json.dumps({"written": written, "bank": str(orders.bank)}) + "\n")
+        _mark_taught(store, orders, written, done)
     return written
+
+
+def _mark_taught(store: Store, orders: Orders, written: int, taught: set[str]) -> None:
+    """Record the episodes whose lessons are in the bank."""
+    marked = {"written": written, "bank": str(orders.bank), "episodes": sorted(taught)}
+    with sentences(orders.out):
+        write_text(store.folder / TAUGHT_FILE, json.dumps(marked) + "\n")
 
 
 @contextmanager

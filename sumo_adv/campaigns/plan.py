@@ -40,6 +40,8 @@ from sumo_adv.simulation.inputs import data_folder, find_input, input_name
 
 MAGIC = re.compile(r"[*?\[]")
 SHIPPED_FOLDERS = ("scenarios", "networks")
+OF_THE_INPUT = ("horizon", "step_length", "ego_sensing", "adversaries")
+"""Settings that an input may bring. Those of the plan count if it gives them."""
 
 
 def find_inputs(
@@ -76,7 +78,7 @@ def find_inputs(
 
 def _paths(name: str, folder: Path) -> list[Path]:
     """Return the files of a pattern or a folder, or the one file or shipped name."""
-    given, shipped = folder / name, Path(name).parts[0]
+    given, shipped = folder / name, next(iter(Path(name).parts), "")  # "." has no parts
     if shipped in SHIPPED_FOLDERS and not (folder / shipped).exists():
         root = data_folder(shipped)
         return [Path(shipped) / p.relative_to(root) for p in _paths(str(root.joinpath(*Path(name).parts[1:])), Path())]
@@ -313,11 +315,10 @@ def make_plan(
 def _as_data(settings: Settings) -> dict[str, Any]:
     """Return all settings that shape an episode, without input, seed and ego.
 
-    Horizon and step length are included only if they were given; otherwise the input's apply. The key of a model's
-    server is not included.
+    Those of ``OF_THE_INPUT`` are included only if they were given. The key of a model's server is not included.
     """
     data = settings.model_dump(mode="json", exclude={"memory", "learn", "seed", "ego"})
-    for name in ("horizon", "step_length"):
+    for name in OF_THE_INPUT:
         if name not in settings.model_fields_set:
             del data[name]
     return data

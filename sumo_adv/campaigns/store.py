@@ -33,7 +33,8 @@ from sumo_adv.memory.store import open_database
 from sumo_adv.parsing import MAX_UNPACKED_BYTES, read_json
 
 PACK_SCHEMA = 1
-MAX_PACKED_RUNS = 1000
+DEFAULT_RUNS_IN_PACK = 1000
+MAX_RUNS_IN_PACK = 10_000  # a run takes about 1.1 kB of the index, which cannot be read above 64 MiB
 STORED = (".gz", ".png", ".zip")  # already compressed
 ZIP_FAULTS = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # of a damaged or encrypted zip file
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -55,12 +56,22 @@ class Packed:
 
 
 def packed_rows(folder: Path) -> dict[str, Row]:
-    """Return the rows of all packed runs of a batch. Raise UsageError if an index is damaged."""
+    """Return the rows of all packed runs of a batch; of a run that is in several packs, that of the last one.
+
+    Args:
+        folder: The batch's folder.
+
+    Returns:
+        The rows, by the id of each run.
+
+    Raises:
+        UsageError: An index is damaged.
+    """
     return {name: entry["row"] for index in _indices(folder) for name, entry in _read(index).items()}
 
 
 def packed_texts(folder: Path, name: str) -> dict[str, str]:
-    """Read one file of all packed runs.
+    """Read one file of all packed runs. Of a run that is in several packs, the last one counts.
 
     Args:
         folder: The batch's folder.
@@ -72,12 +83,13 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
     Raises:
         UsageError: A pack is damaged.
     """
-    texts = {}
+    texts: dict[str, str] = {}
     for index in _indices(folder):
         try:
             with zipfile.ZipFile(index.with_suffix(".zip")) as archive:
                 inside = set(archive.namelist())
                 for run in _read(index):
+                    texts.pop(run, None)
                     if f"{run}/{name}" in inside:
                         texts[run] = _unpacked(archive, f"{run}/{name}").decode()
         except (*ZIP_FAULTS, OSError, ValueError) as error:
@@ -85,25 +97,30 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
     return texts
 
 
-def pack_runs(folder: Path, most: int = MAX_PACKED_RUNS) -> Packed:
+def pack_runs(folder: Path, most: int = DEFAULT_RUNS_IN_PACK) -> Packed:
     """Move the finished runs of a batch into zip files.
+
+    A run that was made again after it was packed goes into a later pack. Its earlier pack stays as it is.
 
     Args:
         folder: The batch's folder.
-        most: The maximum number of runs in a zip file.
+        most: The maximum number of runs in a zip file, at most ``MAX_RUNS_IN_PACK``.
 
     Returns:
         What was packed.
 
     Raises:
-        UsageError: An index is damaged, or a file cannot be written.
+        UsageError: ``most`` is too large, an index is damaged, or a file cannot be written.
         SumoAdvError: There is no space left.
     """
+    if most > MAX_RUNS_IN_PACK:
+        raise UsageError(f"A pack holds at most {MAX_RUNS_IN_PACK} runs, not {most}; give a smaller --most.")
     done = packed_rows(folder)
     runs = [r for r in sorted((folder / "runs").iterdir()) if not r.name.startswith(".")]
-    for run in [r for r in runs if r.name in done]:  # interrupted between writing and removing
-        shutil.rmtree(run)
-    rows = {run: row for run in runs if run.name not in done and (row := read_row(run)) is not None}
+    rows = {run: row for run in runs if (row := read_row(run)) is not None}
+    for run in [r for r in rows if rows[r] == done.get(r.name)]:  # interrupted between writing and removing
+        _remove(run)
+        del rows[run]
     files, size, after = 0, 0, [0, 0]
     with sentences(folder / "packs"):
         (folder / "packs").mkdir(exist_ok=True)
@@ -134,8 +151,15 @@ def _pack_one(folder: Path, runs: Sequence[Path], rows: dict[Path, Row]) -> tupl
     write_whole(target, lambda part: _zip(part, runs))
     write_text(target.with_suffix(".json"), json.dumps({"schema": PACK_SCHEMA, "runs": index}) + "\n")
     for run in runs:
-        shutil.rmtree(run)
+        _remove(run)
     return target, target.with_suffix(".json")
+
+
+def _remove(run: Path) -> None:
+    """Remove a run's folder. It is hidden first, so a folder that is only partly removed never counts as a run."""
+    hidden = run.with_name(f".{run.name}.packed")
+    run.rename(hidden)
+    shutil.rmtree(hidden)
 
 
 def _zip(target: Path, runs: Sequence[Path]) -> None:
@@ -163,7 +187,7 @@ def _add(out: zipfile.ZipFile, name: str, file: Path) -> None:
 def unpack_runs(
     folder: Path, names: Sequence[str], into: Path, staged: Callable[..., AbstractContextManager[Any]]
 ) -> list[Path]:
-    """Restore packed runs as folders. The packs stay.
+    """Restore packed runs as folders. The packs stay. Of a run that is in several packs, the last one counts.
 
     Args:
         folder: The batch's folder.
@@ -180,17 +204,18 @@ def unpack_runs(
     """
     refuse_links(folder / "packs")
     refuse_links(into)
-    left, made = set(names), []
-    for index in _indices(folder):
-        entries = _read(index)
-        chosen = [n for n in entries if not names or n in left]
-        left -= set(chosen)
-        if chosen:
-            made += list(
-                _unpack_one(index.with_suffix(".zip"), {n: entries[n]["inputs"] for n in chosen}, into, staged)
-            )
-    if left:
-        raise UsageError(f"No pack in {folder / 'packs'} holds the run {sorted(left)[0]}.")
+    left, chosen = set(names), dict[Path, dict[str, list[str]]]()
+    seen = set[str]()
+    for index in reversed(_indices(folder)):
+        entries = {run: entry["inputs"] for run, entry in _read(index).items() if run not in seen}
+        seen |= entries.keys()
+        chosen[index] = {run: inputs for run, inputs in entries.items() if not names or run in left}
+    if left - seen:
+        raise UsageError(f"No pack in {folder / 'packs'} holds the run {min(left - seen)}.")
+    made = list[Path]()
+    for index, runs in sorted(chosen.items()):
+        if runs:
+            made += _unpack_one(index.with_suffix(".zip"), runs, into, staged)
     return made
 
 
@@ -231,8 +256,9 @@ def _damaged(file: Path, error: Exception) -> UsageError:
 
 
 def _indices(folder: Path) -> list[Path]:
-    """Return the indices of all packs, in order."""
-    return sorted((folder / "packs").glob("*.json")) if (folder / "packs").is_dir() else []
+    """Return the indices of all packs in the order in which they were written. Other files do not count."""
+    named = [index for index in (folder / "packs").glob("*.json") if index.stem.isdecimal()]
+    return sorted(named, key=lambda index: int(index.stem))
 
 
 def _read(index: Path) -> dict[str, Any]:

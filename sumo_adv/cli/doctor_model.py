@@ -59,7 +59,8 @@ def _out_of_reach(name: str, server: Server, level: FindingLevel) -> DoctorFindi
     """Return a finding if a server, or the proxy on the way to it, accepts no connection; otherwise None."""
     parts = urlsplit(server.base_url)
     host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
-    proxy = None if host in ("localhost", "127.0.0.1", "::1") else getproxies().get(parts.scheme)
+    proxies = {} if host in ("localhost", "127.0.0.1", "::1") else getproxies()
+    proxy = proxies.get(parts.scheme) or proxies.get("all")
     way = urlsplit(proxy) if proxy else None
     place = (way.hostname or "", way.port or 80) if way else (host, port)
     try:

@@ -56,7 +56,9 @@ def export(
     from sumo_adv.report.export.piece import read_piece
     from sumo_adv.report.read import reading
 
-    runs, packed, formats = runs_in(folder), packed_rows(folder), chosen(format)
+    runs, formats = runs_in(folder), chosen(format)
+    here = {run.name for run in runs}
+    packed = [name for name in packed_rows(folder) if name not in here]  # a folder is newer than a pack
     if not runs and not packed:
         if (folder / CASE_FILE).is_file() or any(folder.glob(f"*/{CASE_FILE}")):
             raise UsageError(

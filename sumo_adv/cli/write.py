@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,8 +17,9 @@ from sumo_adv.cli import options as opt
 from sumo_adv.cli.groups import grouped, named_settings
 from sumo_adv.cli.options import INPUT_PANEL, OUTPUT_PANEL, option
 from sumo_adv.config import Settings, Until, load_settings
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import sentences
+from sumo_adv.parsing import read_toml
 from sumo_adv.report.staging import scratch_folder, staged
 
 if TYPE_CHECKING:
@@ -86,6 +87,10 @@ def write(
     if out.suffix != ".toml" or not out.stem:
         raise UsageError(f"The scenario {out} needs the ending .toml.")
     _refuse_what_is_there(out, folder, force=force)
+    given = [file for file in (report, settings_file) if file is not None]
+    if network is not None:
+        given += app.load(network, None).files
+    _refuse_given(given, out)
     made = _write(request, model, settings, network, out, folder, force=force, quiet=as_json)
     typer.echo(json.dumps(_as_json(made, out, folder)) if as_json else _three_lines(made, out, folder))
 
@@ -120,9 +125,27 @@ def _refuse_what_is_there(out: Path, folder: Path, *, force: bool) -> None:
         raise UsageError(f"{taken[0]} already exists; give another --out, or --force to replace it.")
 
 
+def _refuse_given(given: Sequence[Path], out: Path) -> None:
+    """Refuse to write the scenario over a file that the user gave, even with --force."""
+    for place in (p for p in (out, *_beside(out)) if p.exists()):
+        if any(place.samefile(file) for file in given):
+            raise UsageError(f"The scenario would replace {place}, which you gave as an input; give another --out.")
+
+
 def _beside(scenario: Path) -> list[Path]:
     """List the files that a scenario may have beside it."""
     return [scenario.with_name(f"{scenario.stem}{ending}") for ending in COMPANION_ENDINGS]
+
+
+def _written_with(scenario: Path) -> list[Path]:
+    """List the files beside a scenario that ``write`` made with it; none if it made no such scenario."""
+    try:
+        if "written" not in read_toml(scenario, "The scenario"):
+            return []
+        used = app.load(scenario, None).files
+    except (SumoAdvError, OSError):  # another file, or an incomplete scenario
+        return []
+    return [p for p in _beside(scenario) if p.exists() and any(p.samefile(file) for file in used)]
 
 
 def _write(
@@ -143,8 +166,6 @@ def _write(
     played_by = settings.model_copy(
         update={"llm": None, "analyzer": None, "generator": None, "modifier": None, "learn": "off"}
     )
-    if network is not None:
-        app.load(network, None)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     with scratch_folder() as scratch, staged(folder, force=force) as target:
         with Recorder(scratch / MODEL_FILE, player.name) as recorder:
@@ -167,8 +188,8 @@ def _write(
                     inventions.keep_script(attack.script)
         with sentences(out):
             out.parent.mkdir(parents=True, exist_ok=True)
-            for old in _beside(out):
-                old.unlink(missing_ok=True)
+            for old in _written_with(out):
+                old.unlink()
             for file in (made.scenario, *_beside(made.scenario)):
                 if file.exists():
                     shutil.copyfile(file, out.with_name(file.name))

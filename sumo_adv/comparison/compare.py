@@ -125,10 +125,11 @@ def _campaign(folder: Path) -> ComparedSide:
     for row in table.rows:
         name = str(row["id"])
         run = folder / "runs" / name
-        outcome = _packed(folder, name, packed[name]) if name in packed else read_outcome(run)
+        is_packed = name in packed and not (run / OUTCOME_FILE).is_file()  # a folder is newer than a pack
+        outcome = _packed(folder, name, packed[name]) if is_packed else read_outcome(run)
         varied = " ".join(f"{key.removeprefix('set_')}={row[key]}" for key in table.varied)
         key = f"{row['network']} seed {row['seed']:g} {varied}".strip()
-        read.append((key, outcome, None if name in packed else run))
+        read.append((key, outcome, None if is_packed else run))
     return ComparedSide(folder, _budget(folder / PLAN_FILE), [_of_outcome(*each) for each in _numbered(read)])
 
 

@@ -18,7 +18,7 @@ Messages = tuple[tuple[str, str], ...]
 CHARACTERS_PER_TOKEN = 4  # of English text and code, roughly
 CUT_SHORT = "length"  # the finish_reason of an answer that ended at the token limit
 T = TypeVar("T")
-_THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL)
+_START_OF_THOUGHT = re.compile(r"<think(?:ing)?>")
 _END_OF_THOUGHT = re.compile(r"</think(?:ing)?>")
 _UNENDED_THOUGHT = re.compile(r"^\s*<think(?:ing)?>")
 LEDGER_COUNTS = (
@@ -100,7 +100,11 @@ def without_thought(text: str) -> str:
 
     The opening tag may be missing. If the text begins with an opening tag and has no closing tag, nothing is left.
     """
-    text = _END_OF_THOUGHT.split(_THOUGHT.sub("", text))[-1]
+    kept, position = list[str](), 0
+    while (start := _START_OF_THOUGHT.search(text, position)) and (end := _END_OF_THOUGHT.search(text, start.end())):
+        kept.append(text[position : start.start()])
+        position = end.end()
+    text = _END_OF_THOUGHT.split("".join((*kept, text[position:])))[-1]
     return "" if _UNENDED_THOUGHT.match(text) else text.strip()
 
 

@@ -159,6 +159,7 @@ class ServerConnection:
             seconds: The time for the whole exchange [s].
 
         Raises:
+            ModelError: A proxy or certificate of the environment cannot be used.
             TimeoutError: The exchange took longer.
             httpx.HTTPError: The exchange failed.
             _TooLarge: The answer is too large.
@@ -198,7 +199,7 @@ class ServerConnection:
             headers["Authorization"] = f"Bearer {self._key}"
         timeout = httpx.Timeout(self.settings.llm_read_timeout, connect=self.settings.llm_connect_timeout)
         async with (
-            httpx.AsyncClient(timeout=timeout, trust_env=self._use_proxy) as client,
+            self._client(timeout) as client,
             client.stream(method, f"{self._base_url}/{path}", content=body, headers=headers) as response,
         ):
             encoding = response.headers.get("content-encoding", "identity").strip().lower()
@@ -211,6 +212,17 @@ class ServerConnection:
                 if size > MAX_ANSWER_BYTES:
                     raise _TooLarge
             return _Response(response.status_code, dict(response.headers), self.blank(decoded(b"".join(parts))))
+
+    def _client(self, timeout: httpx.Timeout) -> httpx.AsyncClient:
+        """Open a client. Raise ModelError if a proxy or certificate of the environment cannot be used."""
+        try:
+            return httpx.AsyncClient(timeout=timeout, trust_env=self._use_proxy)
+        except (ImportError, ValueError, OSError, httpx.InvalidURL) as error:  # no socksio, no such scheme or file
+            why = self.quoted(str(error)).rstrip(".") or type(error).__name__
+            raise ModelError(
+                f"The proxy or certificate setting of this machine cannot be used ({why}); correct or unset ALL_PROXY, "
+                "HTTPS_PROXY, HTTP_PROXY or SSL_CERT_FILE."
+            ) from error
 
     def quoted(self, text: str) -> str:
         """Shorten a text of the server for a message, and blank out the key."""

@@ -31,7 +31,7 @@ import numpy as np
 from sumo_adv import __version__
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import cell_text, scratch_prefix
+from sumo_adv.files import cell_text, scratch_prefix, sentences
 from sumo_adv.metrics.severity import Severity
 from sumo_adv.metrics.statistics import wilson
 from sumo_adv.parsing import read_json
@@ -386,7 +386,8 @@ def write_report(
     missing = sorted((name for name in least if name in stamps and name not in made), key=least.__getitem__)[:most]
     damaged: list[str] = []
     done = 0
-    (out / PAGES_FOLDER).mkdir(parents=True, exist_ok=True)
+    with sentences(out):
+        (out / PAGES_FOLDER).mkdir(parents=True, exist_ok=True)
     try:
         for run, result in _all_pages(missing, runs, packs, out / PAGES_FOLDER, workers, roads):
             done += 1
