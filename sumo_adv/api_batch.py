@@ -21,7 +21,7 @@ import numpy as np
 from sumo_adv.api import Result, Table
 from sumo_adv.app import batch_parts, cluster_processors, estimate_rate, run_campaign, shipped_bank
 from sumo_adv.campaigns.results import INTEGER_COLUMNS, NUMERIC_COLUMNS, OUTCOME_FILE, read_csv, read_row
-from sumo_adv.config import Until
+from sumo_adv.config import load_settings
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError
@@ -391,23 +391,26 @@ def hunt(
         watcher = Teller(lambda _, job, row: finished(row), stopping, lambda: first.pop()() if first else None)
         return run_campaign(plan, orders, watcher)
 
-    asked = settings.get("until")
-    settings.setdefault("until", "valid" if ego == "careful" else "serious")
+    file = None if settings_file is None else Path(settings_file)
+    loaded = load_settings(file, **settings)
+    asked = loaded.until if "until" in loaded.model_fields_set else None
+    if asked is None:
+        settings["until"] = "valid" if "careful" in (ego, loaded.ego) else "serious"
     named = [str(each) for each in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     given: dict[str, Any] = {"inputs": named, "seeds": [seed], "settings": settings}
     given |= {} if ego is None else {"egos": [_ego_name(ego)]}
     given |= {} if memory is None else {"memory": str(memory)}
-    plan = make_plan(given, Path(), "The hunt", batch_parts(), None if settings_file is None else Path(settings_file))
+    plan = make_plan(given, Path(), "The hunt", batch_parts(), file)
     if ego is not None and ray is None and ":" in (name := _ego_name(ego)):
         find_class("ego", name)
-    least = Level.VALID if asked is None else max(Until(asked).level, Level.VALID)
-    goal = Goal(least, float(settings.get("min_delta_v") or 0.0))
+    least = Level.VALID if asked is None else max(asked.level, Level.VALID)
+    goal = Goal(least, loaded.min_delta_v or 0.0)
     if note is not None:
         for sentence in (each for given in plan.inputs for each in given.notes):
             note(sentence)
     orders = orders_of(plan, out, workers, deadline, ray=ray)
     at_once = orders.pace if ray is None else replace(orders.pace, workers=cluster_processors(ray))
-    longest = None if settings.get("seconds") is None else float(settings["seconds"])
+    longest = loaded.seconds if "seconds" in loaded.model_fields_set else None
     with Crew() as crew:
         orders = replace(orders, pace=at_once, crew=crew if ray is None else None)
         hunted = Hunt(plan, orders, campaign, minutes, distinct, goal, cover=cover, longest=longest)
@@ -417,17 +420,23 @@ def hunt(
 
 
 def _index(found: Found, workers: int) -> Path:
-    """Make the page of all failures, with a picture and a replay of each, and return its path."""
+    """Make the page of all failures, with a picture and a replay of each, and return its path.
+
+    Its coverage and its rates count all episodes of the hunt.
+    """
     from sumo_adv.report.coverage import campaign_coverage, write_coverage
     from sumo_adv.report.index import Packs, table_of, write_report
 
-    runs = [failure.run for failure in found.failures]
+    runs = sorted(run for run in found.folder.glob("rounds/*/runs/*") if not run.name.startswith("."))
     target = found.folder / "report"
     coverage = campaign_coverage(found.folder, runs, {}, shipped_bank())
+    failures, every = (
+        table_of(row for run in some if (row := read_row(run)) is not None)
+        for some in ([failure.run for failure in found.failures], runs)
+    )
     made = write_report(
-        found.folder / "failures", target, found.folder.resolve().name,
-        table_of(row for run in runs if (row := read_row(run)) is not None), Packs(), coverage, found.scenarios,
-        most=MAX_PAGES_AT_ONCE, workers=workers, again=True,
+        found.folder / "failures", target, f"Failures of {found.folder.resolve().name}", failures, Packs(), coverage,
+        found.scenarios, every=every, most=MAX_PAGES_AT_ONCE, workers=workers, again=True,
     )  # fmt: skip
     write_coverage(target, coverage)
     return made.index

@@ -93,7 +93,8 @@ def manifest(**changes: Any) -> dict[str, Any]:
     """A ``manifest.json``, as much of it as a page reads."""
     planner = {"label": "Cut-in", "mode": "side", "origin": "seed", "parent": None, "source": "GAP = 3\nSIDE = 1\n"}
     return {
-        "schema": 1, "versions": {"sumo_adv": "0"}, "name": "sample", "settings": {"step_length": STEP, "ttc": 1.0},
+        "schema": 1, "versions": {"sumo_adv": "0"}, "name": "sample",
+        "settings": {"step_length": STEP, "critical_ttc": 1.0},
         "network": f"0-{NETWORK}", "seed": 7, "planners": {"a" * 64: planner}, "attempt": {"planner": "a" * 64},
         **changes,
     }  # fmt: skip

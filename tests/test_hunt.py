@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 from cli_samples import Program, refusal_of
+from test_report_page import data_of
 
 import sumo_adv
 from sumo_adv.campaigns.campaign import Orders, Summary
@@ -326,13 +328,18 @@ def test_without_an_input_that_can_be_run_the_reason_is_said(tmp_path: Path) -> 
 
 
 def test_a_hunt_from_the_command_line_goes_on_from_python_and_is_kept(program: Program) -> None:
-    (program.folder / "few.toml").write_text("proposals = 20\nattempts = 6\n")
-    options = ("--ego", "idm", "--until", "valid", "--settings", "few.toml", "--distinct", "1", "--minutes", "2")
+    (program.folder / "few.toml").write_text('proposals = 20\nattempts = 6\nuntil = "valid"\n')
+    options = ("--ego", "idm", "--settings", "few.toml", "--distinct", "1", "--minutes", "2")
     options = (*options, "--workers", "1", "--out", "hunt")
     done = program.here("hunt", "signals_red_light", *options)
     assert done.status == 0, done.err
     assert "Enough distinct failures were found: " in done.out
-    assert (program.folder / "hunt" / "report" / "index.html").is_file()
+    page = (program.folder / "hunt" / "report" / "index.html").read_text(encoding="utf-8")
+    episodes = len(list((program.folder / "hunt").glob("rounds/*/runs/*/outcome.json")))
+    (ego,) = data_of(page)["egos"]
+    assert ego["episodes"] == episodes  # also those without a failure
+    plan = json.loads((program.folder / "hunt" / "rounds" / "0001" / "plan.json").read_text(encoding="utf-8"))
+    assert plan["settings"][0]["until"] == "valid"  # as the file says
     for command in (("report", "hunt"), ("compare", "hunt", "hunt")):
         asked = program.here(*command)
         assert (asked.status, "is the folder of a hunt" in asked.err) == (2, True), asked.err

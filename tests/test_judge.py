@@ -46,6 +46,17 @@ def test_a_run_says_its_level_and_stores_the_plan(runs: Runs) -> None:
     assert (runs["first"].folder / "plan.csv.gz").is_file()
 
 
+def test_the_careful_driver_does_not_avoid_its_own_collision(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(run_folder("crossing"), folder)
+    assert "cc_human" in judge_files(folder).now["preventable_by"]  # of a collision of SUMO's driver
+    outcome = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))
+    outcome["ego"]["controller"] = "careful"
+    (folder / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
+    now = judge_files(folder).now
+    assert "cc_human" not in now["preventable_by"] and now["level"] == "valid"
+
+
 def test_a_run_is_judged_from_its_files_alone() -> None:
     folder = run_folder("crossing")
     recorded = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))["outcome"]

@@ -40,6 +40,22 @@ def test_forced_drifts_end_in_collisions_with_small_weights_and_runs_repeat() ->
     assert 8 * 0.016 < calm.km < 8 * 0.020  # between 16 and 20 m/s
 
 
+def test_the_ego_has_the_sensors_of_its_scenario(tmp_path: Path) -> None:
+    scenario = tmp_path / "beside.toml"
+    text = BESIDE.read_text(encoding="utf-8").replace('"side_by_side', f'"{BESIDE.parent}/side_by_side')
+    scenario.write_text(f"{text}\n[ego.sensing]\nrange = 30.0\ndelay = 0.5\n", encoding="utf-8")
+    sensing = RatePlan(scenario, "careful", duration=8.0).task(tmp_path).settings.ego_sensing
+    assert (sensing.range, sensing.delay) == (30.0, 0.5)
+
+
+def test_what_the_careful_driver_hits_it_does_not_avoid() -> None:
+    """It drives ``cc_human``, on which the levels strict and serious depend."""
+    with BlockRunner(RatePlan(BESIDE, "careful", duration=8.0)) as runner:
+        records = [runner.one(Block("runs", 0, DRIFTS.tolist()), number)[1] for number in range(8)]
+    levels = {record.level for record in records if record.contact}
+    assert levels and not levels & {"strict", "serious"}
+
+
 def test_generated_traffic_brings_an_ego_after_the_warm_up() -> None:
     with BlockRunner(RatePlan(Path("straight_2lane"), "krauss", warm_up=5.0, duration=4.0, density=60.0)) as runner:
         first, second = (runner.one(Block("plain", 0, None), number)[1] for number in (0, 1))

@@ -29,8 +29,10 @@ from sumo_adv.report.page_road import (
     markings_of,
     stop_lines,
 )
+from sumo_adv.report.tables import write_signals
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.signals import read_signals
+from sumo_adv.simulation.sumo_states import Snapshot
 
 NETWORKS = ROOT / "networks"
 
@@ -116,6 +118,16 @@ def test_what_the_lights_showed_is_recorded_and_drawn(tmp_path: Path) -> None:
     assert shown == list(states)
     assert frames[0] * scene["step"] + scene["start"] == pytest.approx(times[0], abs=0.051)
     assert {kind for kind, light, _ in scene["stops"] if light == 0} == {LINE_LIGHT}
+
+
+def test_a_light_that_is_no_longer_near_is_not_shown(tmp_path: Path) -> None:
+    """It is near from 1.0 s to 1.9 s, and again at 3.0 s."""
+    shown = {round(0.1 * k, 1): {"c": "rG"} for k in (*range(10, 20), 30)}
+    times = [round(0.1 * k, 1) for k in range(40)]
+    write_signals(tmp_path / "signals.csv.gz", [Snapshot(time, {}, shown.get(time, {})) for time in times])
+    log = read_signals(tmp_path / "signals.csv.gz", with_gaps=True)
+    assert log.lights == {"c": ((1.0, 2.0, 3.0, 3.1), ("rG", "", "rG", ""))}
+    assert (log.states(1.95), log.states(2.5), log.states(3.05)) == ({"c": "rG"}, {}, {"c": "rG"})
 
 
 def test_a_run_without_lights_has_no_record_of_them(tmp_path: Path) -> None:

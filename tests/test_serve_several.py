@@ -63,6 +63,7 @@ def test_a_collider_and_its_support_are_driven_together_and_given_back(tmp_path:
                 ("left", "right"), "another adversary"
             )
             assert collided(session, ("left", "right"), with_ego=True) == dict.fromkeys(("left", "right"), "the ego")
+            assert collided(session, ("left",), with_ego=False) == {"left": "another vehicle"}  # "right", as traffic
         finally:
             client.kill()
             client.wait()

@@ -33,7 +33,7 @@ from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.search.ranking import FixedOrder
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.simulation.engine import Conversation
-from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.simulation.inputs import RunInput, own_simulation
 
 
 class Attacks(Protocol):
@@ -80,14 +80,14 @@ def _silent(*_: object) -> None:
     """Ignore progress; an environment shows none."""
 
 
-def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, horizon: float | None) -> Settings:
+def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, run_input: RunInput) -> Settings:
     """Return the settings of an environment. Nothing is learnt from its episodes.
 
     Args:
         given: The user's settings.
         ego: The driver of the ego; None if an agent drives.
         attacker: What attacks the ego.
-        horizon: The horizon of the scenario [s]; None takes the default.
+        run_input: The scenario. The environments have one adversary, and an agent sees without errors of sensors.
 
     Raises:
         UsageError: A setting is wrong, or follows from other arguments.
@@ -96,8 +96,10 @@ def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, h
         if name in given:
             raise UsageError(f"The setting {name!r} of an environment follows from its other arguments: leave it out.")
     model = None if attacker in (None, EXPERT_ATTACKER) else attacker
-    defaults: dict[str, Any] = {"horizon": horizon}
+    defaults = {**own_simulation(run_input), **run_input.settings(("until",))}
+    defaults.pop("adversaries", None)
     if ego is None:
+        defaults.pop("ego_sensing", None)
         defaults |= {"until": "serious", "attempts": PLANNED_ATTACKS}  # what attacks on an agent are planned for
     if model is not None:
         defaults["tuner"] = "off"  # only the model's attacks, none of the search
@@ -132,7 +134,7 @@ class TrainingEncounter:
         run_input = load(Path(scenario), None)
         packed = None if isinstance(ego, str) else pack_driver(AgentEgo if ego is None else ego)
         driver = None if ego is None else ego if packed is None else packed.name
-        self.settings = settings_of(given, driver, attacker, run_input.horizon)
+        self.settings = settings_of(given, driver, attacker, run_input)
         with ExitStack() as opening:
             self._open(run_input, packed, opening)
             self._stack = opening.pop_all()

@@ -34,7 +34,7 @@ from sumo_adv.files import scratch_prefix
 from sumo_adv.rate.proposal import ERRORS_PER_HOUR, ErrorProposal, chances
 from sumo_adv.rate.run import RateRecord, RateRun
 from sumo_adv.simulation.demand import generate_flows
-from sumo_adv.simulation.inputs import EgoRoute, load_input
+from sumo_adv.simulation.inputs import EgoRoute, load_input, own_simulation
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.scan import scan_demand
 
@@ -94,7 +94,9 @@ class RatePlan:
             run_input = replace(run_input, routes=(flows,), begin=0.0)
         ego = trusted_driver(self.ego, run_input.ego_controller, run_input.path)
         chosen = {} if ego is None else {"ego": ego}
-        settings = load_settings(None, **chosen, ego_parameters=dict(self.parameters), seed=self.seed)
+        brought = {**own_simulation(run_input), **run_input.settings(("until",))}
+        own = {"ego_parameters": dict(self.parameters), "seed": self.seed}
+        settings = load_settings(None, **{**brought, **chosen, **own})
         task = make_task(run_input, settings, folder)
         make_tested_ego(task.ego_driver, task.ego_parameters, settings)
         return task

@@ -10,6 +10,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Boxes, Floats, Ints, Level, Limits, VehicleState
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.verdict import own_reference
 from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.verdict import judge_attempt
@@ -206,7 +207,7 @@ class RateRun:
         case = make_case(drive.tracks(foe, start=first), ego, [foe], start, {})
         level = Level.NONE
         if case is not None:
-            level = judge_attempt(case, limits=UNLIMITED).level
+            level = judge_attempt(case, limits=UNLIMITED, driver=own_reference(drive)).level
         if level >= Level.COLLISION and recent and foe in self._begun:
             self.counts.crashes[self._begun[foe]] += 1.0
         return replace(

@@ -198,6 +198,7 @@ def make_index(
     roads: Mapping[str, Any],
     coverage: Coverage | None = None,
     scenarios: Sequence[ScenarioRow] = (),
+    every: ResultsTable | None = None,
 ) -> str:
     """Make the index page.
 
@@ -208,6 +209,7 @@ def make_index(
         roads: The maps of networks, by the network's name; see :func:`road_of`.
         coverage: What the campaign has covered; None leaves this section out.
         scenarios: The rows of named scenarios.
+        every: All episodes, if the page lists only some; the rates of each ego count them.
 
     Returns:
         The HTML.
@@ -228,7 +230,7 @@ def make_index(
         "x": [m.place[0] if m and m.place else None for m in pages],
         "y": [m.place[1] if m and m.place else None for m in pages],
         "maps": [{"name": n, **roads[n]} for n in maps],
-        "egos": summarise(rows),
+        "egos": summarise((every or table).rows),
         "coverage": None if coverage is None else _cells(coverage),
     }  # fmt: skip
     body = plain_table(name, rows, made) + asset("index.html").replace(SCENARIOS_MARK, scenario_section(scenarios))
@@ -351,6 +353,7 @@ def write_report(
     coverage: Coverage | None = None,
     scenarios: Sequence[ScenarioRow] = (),
     *,
+    every: ResultsTable | None = None,
     most: int | None = None,
     workers: int = 1,
     again: bool = False,
@@ -368,6 +371,7 @@ def write_report(
         packs: The runs in zip files.
         coverage: The coverage that the index shows; None leaves it out.
         scenarios: The named scenarios that the index shows.
+        every: All episodes, if ``table`` holds only some; the rates of each ego count them.
         most: The maximum number of pages to make; None makes all.
         workers: The number of processes.
         again: Whether existing pages are rebuilt, too.
@@ -398,7 +402,7 @@ def write_report(
             tell(done, len(missing))
     finally:
         _write(out, made, roads)
-        write_document(out / INDEX_PAGE, make_index(name, table, made, roads, coverage, scenarios))
+        write_document(out / INDEX_PAGE, make_index(name, table, made, roads, coverage, scenarios, every))
     return Report(out / INDEX_PAGE, len(table.rows), len(made), done - len(damaged), damaged)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Level, Role, Track
+from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.episode.encounter_builder import ROAD_MARGIN_M
 from sumo_adv.episode.situation_builder import HISTORY_S
 from sumo_adv.errors import UsageError
@@ -86,7 +87,7 @@ def judge_files(folder: Path) -> Judgement:
     """Judge a run from its files, kinematically.
 
     The gates and the rear-end flag are those that the run recorded, because files hold rounded states. A run without a
-    collision keeps its verdict.
+    collision keeps its verdict, and so does one with a crest, since files do not tell what it hid.
 
     Args:
         folder: The run's folder.
@@ -100,8 +101,9 @@ def judge_files(folder: Path) -> Judgement:
     run = read_run(folder)
     before = run.outcome.get("outcome") or {}
     ego = str((run.outcome.get("ego") or {}).get("controller"))
-    case = _case(run) if before.get("collided") else None
-    again = None if case is None else judge_attempt(case)
+    case = _case(run) if before.get("collided") and not run.manifest.get("sight") else None
+    own = CarefulEgo.reference if ego == CarefulEgo.name else None
+    again = None if case is None else judge_attempt(case, driver=own)
     if again is None or again.preventability is None:
         return Judgement(folder, ego, before, before, "files")
     recorded = verdict_of(before)

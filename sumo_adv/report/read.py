@@ -73,7 +73,7 @@ def read_run(folder: Path) -> RunRead:
     outcome = read_outcome(folder)
     manifest = _json(folder / MANIFEST_FILE) if (folder / MANIFEST_FILE).is_file() else {}
     best, raw, first = (_tracks(folder / name) for name in ("states.csv.gz", "raw.csv.gz", FIRST))
-    lights = read_signals(folder / SIGNALS) if (folder / SIGNALS).is_file() else SignalLog({})
+    lights = read_signals(folder / SIGNALS, with_gaps=True) if (folder / SIGNALS).is_file() else SignalLog({})
     inside = read_inside(folder / INSIDE) if (folder / INSIDE).is_file() else []
     return RunRead(folder, outcome, manifest, best, raw, first, _attacks(folder, outcome), lights, inside)
 

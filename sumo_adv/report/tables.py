@@ -94,7 +94,7 @@ def write_inside(target: Path, inside: Sequence[DriverInside]) -> None:
 
 
 def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:
-    """Write ``signals.csv.gz``: a row whenever a traffic light near the ego changes.
+    """Write ``signals.csv.gz``: a row whenever a traffic light near the ego changes, or is no longer near (no state).
 
     ``simulation/signals.py`` reads the file. Nothing is written if no light was near.
 
@@ -105,7 +105,8 @@ def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:
     shown: dict[str, str] = {}
     rows = []
     for snapshot in snapshots:
-        for name, state in snapshot.lights.items():
+        gone = dict.fromkeys((name for name, state in shown.items() if state and name not in snapshot.lights), "")
+        for name, state in {**snapshot.lights, **gone}.items():
             if shown.get(name) != state:
                 shown[name] = state
                 rows.append(f"{seconds_text(snapshot.time)},{quoted(name)},{state}\n")

@@ -30,6 +30,8 @@ from sumo_adv.simulation.stage import Stage
 from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.situation import Situation
 
+REACH_OF_A_VEHICLE_M = 25.0  # between the centres of two vehicles that touch; SUMO's longest trailer truck has 16.5 m
+
 STRAYED = 4.0, 2.5  # m, m/s; the scene has changed if ego or BV is farther from its forecast
 EGO_PAUSE_S = 2.0  # how long the ego must be on the road before an encounter
 CALM_TIME_S = 2.0  # an encounter must not be dangerous by itself within this time
@@ -304,7 +306,7 @@ class LiveAttempts:
 
 
 def collided(session: Session, bvs: Sequence[str], *, with_ego: bool) -> dict[str, str]:
-    """Return what each adversary has hit: another adversary or the ego, if their boxes overlap now.
+    """Return what each adversary has hit: another adversary, another vehicle or the ego, if their boxes overlap now.
 
     Args:
         session: The session.
@@ -313,6 +315,11 @@ def collided(session: Session, bvs: Sequence[str], *, with_ego: bool) -> dict[st
     """
     pairs = [(a, b) for a, b in combinations(bvs, 2) if apart_of(session, a, b) == 0.0]
     hits = {name: "another adversary" for pair in pairs for name in pair}
+    for bv in bvs:
+        if bv in session.snapshot.raw and bv not in hits:
+            others = session.near(session.state(bv), REACH_OF_A_VEHICLE_M)
+            if any(apart_of(session, bv, other) == 0.0 for other in others if other not in (*bvs, session.ego)):
+                hits[bv] = "another vehicle"
     if with_ego and session.ego is not None:
         hits |= {bv: "the ego" for bv in bvs if apart_of(session, session.ego, bv) == 0.0}
     return hits

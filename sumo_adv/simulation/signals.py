@@ -1,7 +1,8 @@
 """Traffic lights: those of a log, and those near a place, which a run records for its replay page.
 
-A log is a CSV ``time,tls,state`` in SUMO's letters, gzipped or not. A state holds until the light's next row. After the
-end of the log that it belongs to, a light shows its own program.
+A log is a CSV ``time,tls,state`` in SUMO's letters, gzipped or not. A state holds until the light's next row. In what a
+run records, an empty state says that the light is no longer near. After the end of the log that it belongs to, a light
+shows its own program.
 """
 
 from __future__ import annotations
@@ -37,20 +38,21 @@ class SignalLog:
     lights: Mapping[str, tuple[tuple[float, ...], tuple[str, ...]]]
 
     def states(self, time: float) -> dict[str, str]:
-        """Return the state of every light that has a row at or before a time [s]."""
+        """Return the state of every light that has a row at or before a time [s] and was near then."""
         shown = {}
         for name, (times, states) in self.lights.items():
             k = bisect_right(times, time + 1e-6)
-            if k:
+            if k and states[k - 1]:
                 shown[name] = states[k - 1]
         return shown
 
 
-def read_signals(path: Path) -> SignalLog:
+def read_signals(path: Path, *, with_gaps: bool = False) -> SignalLog:
     """Read recorded traffic lights.
 
     Args:
         path: The file.
+        with_gaps: Whether states may be empty.
 
     Returns:
         The log.
@@ -63,7 +65,7 @@ def read_signals(path: Path) -> SignalLog:
         raise UsageError(f"The signals {path} begin with another header: line 1 must be '{','.join(SIGNAL_COLUMNS)}'.")
     lights: dict[str, list[tuple[float, str]]] = {}
     for fields in reader:
-        time, name, state = _row(path, reader.line_num, fields)
+        time, name, state = _row(path, reader.line_num, fields, with_gaps=with_gaps)
         lights.setdefault(name, []).append((time, state))
     for name, rows in lights.items():
         if any(b[0] <= a[0] for a, b in pairwise(rows)):
@@ -71,13 +73,14 @@ def read_signals(path: Path) -> SignalLog:
     return SignalLog({name: (tuple(r[0] for r in rows), tuple(r[1] for r in rows)) for name, rows in lights.items()})
 
 
-def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str]:
+def _row(path: Path, line: int, fields: list[str], *, with_gaps: bool) -> tuple[float, str, str]:
     """Return time [s], light and state of one row."""
     try:
         time, name, state = float(fields[0]), fields[1], fields[2]
     except (ValueError, IndexError):
         time, name, state = math.nan, "", ""
-    if not math.isfinite(time) or not name or not state or not set(state) <= SIGNAL_LETTERS:
+    known = set(state) <= SIGNAL_LETTERS and bool(state or with_gaps)
+    if not math.isfinite(time) or not name or not known:
         raise UsageError(f"The signals {path} cannot be used: line {line} is not a time, a light and its SUMO letters.")
     return time, name, state
 

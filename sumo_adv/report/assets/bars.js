@@ -29,8 +29,8 @@ function histogram(title, entries, act) {
 
 /** All histograms of the rows shown. */
 function drawBars(rows, choose) {
-  const after = counted(rows, (i) => (columns.failure[i] ? null : binOf(columns.min_ttc[i])));
-  const before = counted(rows, (i) => (columns.failure[i] ? null : binOf(columns.raw_min_ttc[i])));
+  const after = counted(rows, (i) => (tried(i) ? binOf(columns.min_ttc[i]) : null));
+  const before = counted(rows, (i) => (tried(i) ? binOf(columns.raw_min_ttc[i]) : null));
   const bins = [...BINS.map((b) => b[2]), NEVER].map((name) => ({ name, many: after.get(name) || 0, before: before.get(name) || 0 }));
   const came = counted(rows, (i) => classes[i]), intents = counted(rows, (i) => columns.intent[i]), egos = counted(rows, (i) => columns.ego[i]);
   const severities = counted(rows, (i) => columns.severity[i]);

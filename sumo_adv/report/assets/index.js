@@ -17,6 +17,7 @@ const HEADS = [
   ...data.varied.map((name) => ({ name, words: name.slice(4), wide: "middle" })), { name: "id", words: "id", wide: "middle" },
 ];
 
+const tried = (i) => !columns.failure[i] && columns.collided[i] !== null;
 const address = (i) => (data.page[i] ? `pages/${encodeURIComponent(columns.id[i])}.html` : null);
 
 function textOf(head, i) {
@@ -24,7 +25,7 @@ function textOf(head, i) {
     const kind = CLASSES.find((c) => c.key === classes[i]);
     return `${kind.sign} ${kind.words}${columns.failure[i] ? `: ${columns.failure[i]}` : ""}`;
   }
-  if (columns.failure[i] && head.show === SECONDS) return "–";  // a failed run measured nothing
+  if (!tried(i) && head.show === SECONDS) return "–";  // a failed run, or one without an attempt, measured nothing
   const value = columns[head.name][i];
   return head.show ? head.show(value) : value === null || value === "" ? "–" : String(value);
 }

@@ -14,7 +14,7 @@ class Player {
     this.playing = false;
     this.speed = 1;
     this.map = new MapView(byId("road"), byId("map"), scene);
-    this.charts = new Charts(byId("curves"), byId("cursor"), scene, this.moments, (data.about.settings || {}).ttc ?? null);
+    this.charts = new Charts(byId("curves"), byId("cursor"), scene, this.moments, (data.about.settings || {}).critical_ttc ?? null);
     this.cells = [];
     this.setWindow();
     this.frame = Math.max(this.from, Math.min(this.trigger, this.to));
