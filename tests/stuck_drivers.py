@@ -106,6 +106,14 @@ class AlwaysExits(ExitsProcess):
     visits = (1,)
 
 
+class AlwaysExitsAsIfDone(AlwaysExits):
+    """Ends the process with the status of success."""
+
+    def stick(self) -> None:
+        """The fault."""
+        os._exit(0)
+
+
 class Slow(Sleeps):
     """Takes 0.2 s for each of its answers, and never hangs."""
 

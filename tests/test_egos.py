@@ -430,25 +430,46 @@ def test_a_users_errors_are_one_sentence(user_module: str) -> None:
         make_ego("my_driver.py:Acc", {})
 
 
+class Numpy:
+    """Answers always the same."""
+
+    def __init__(self, answer: object) -> None:
+        self.answer = answer
+
+    def reset(self, seed: int) -> None: ...
+
+    def act(self, seen: Observation) -> object:
+        return self.answer
+
+
 def test_numbers_of_numpy_are_numbers() -> None:
-    class Numpy:
-        def __init__(self, answer: object) -> None:
-            self.answer = answer
-
-        def reset(self, seed: int) -> None: ...
-
-        def act(self, seen: Observation) -> object:
-            return self.answer
-
     def answered(action: object) -> object:
         return UserEgo("mine:Numpy", Numpy(action)).act(LOOK)
 
     assert answered(Steer(np.float32(0.5), np.array(0.25))) == Steer(0.5, 0.25)  # type: ignore[arg-type]
     assert answered(LaneSpeed(np.int64(1), 3)) == LaneSpeed(1, 3)  # type: ignore[arg-type]
+    whole = answered(LaneSpeed(np.float64(1), 3.0))  # type: ignore[arg-type]
+    assert isinstance(whole, LaneSpeed) and type(whole.lane) is int and whole.lane == 1
+    with pytest.raises(SimulationError, match=r"returned the lane 1\.5 at 3\.0 s; give its index\."):
+        answered(LaneSpeed(1.5, 3.0))  # type: ignore[arg-type]
+    with pytest.raises(SimulationError, match=r"one of its numbers has the type NoneType"):
+        answered(LaneSpeed(1, None))  # type: ignore[arg-type]
     with pytest.raises(
         SimulationError, match=r"at 3\.0 s; one of its numbers has the type ndarray: use float\(\.\.\.\)"
     ):
         answered(Steer(np.array([0.0, 1.0]), 0.0))  # type: ignore[arg-type]
+
+
+def test_attributes_of_a_type_may_be_numbers() -> None:
+    class Idm(Numpy):
+        sumo_type: object = {"carFollowModel": "IDM", "tau": 1.5}
+
+    class Words(Numpy):
+        sumo_type = "IDM"
+
+    assert UserEgo("mine:Idm", Idm(None)).sumo_type == {"carFollowModel": "IDM", "tau": "1.5"}
+    with pytest.raises(UsageError, match=r"'mine:Words' has a sumo_type of type str; give a dictionary\."):
+        UserEgo("mine:Words", Words(None))
 
 
 @pytest.fixture

@@ -46,6 +46,14 @@ def test_attacks_begin_7_s_before_the_ego_is_where_ways_meet_and_at_most_8_s_lat
     assert delays([ranked(far_crossing(ahead, 90.0))], TRACKS, "ego", Settings()) == later
 
 
+@pytest.mark.parametrize(
+    ("step", "starts"), [(0.2, [0.0, 1.6, 3.0]), (0.04, [0.0, 1.52, 3.0]), (0.033, [0.0, 1.485, 3.003])]
+)
+def test_they_begin_after_whole_steps(step: float, starts: Sequence[float]) -> None:
+    """1.5 s are 7.5 steps of 0.2 s, 37.5 of 0.04 s (both rounded to an even number) and 45.5 of 0.033 s."""
+    assert delays([ranked(neighbour())], TRACKS, "ego", Settings(step_length=step)) == starts
+
+
 def test_where_the_other_counts_they_begin_7_s_before_that_is_there() -> None:
     """It is there after 9 s."""
     assert delays([ranked(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings(), both=True) == [2.0, 3.5, 5.0]

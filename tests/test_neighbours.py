@@ -11,7 +11,7 @@ import sumo_adv
 from sumo_adv.datatypes import Attempt, Level, PrescribedMotion, Proposal
 from sumo_adv.episode.assessment import NO_MOTION_VERDICT
 from sumo_adv.episode.attempt import Driven
-from sumo_adv.episode.neighbours import Robustness, holds, neighbours, retimed
+from sumo_adv.episode.neighbours import Robustness, holds, neighbours, recorded_course, retimed
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.goal import Goal
 from sumo_adv.planners.text import make_planner
@@ -76,6 +76,14 @@ def test_where_a_log_moves_the_ego_the_adversary_comes_earlier_and_later() -> No
     assert early.course is not None and late.course is not None
     assert early.course.x[36] == pytest.approx(40.0 - 0.5 * 10 * 3 / 37, abs=0.01)
     assert late.course.x[42] == pytest.approx(40.0 + 0.5 * 10 * 3 / 43, abs=0.01)
+
+
+@pytest.mark.parametrize("dt", [0.04, 0.1])
+def test_the_motion_to_repeat_begins_after_the_takeover(dt: float) -> None:
+    """At 10 m/s from 0 m, the first state after the takeover is at 10 dt."""
+    given, result = attack(4.0)
+    snapshots = [Snapshot(100.0 + dt * k, {"bv": (2.5 + 10 * dt * k, 0.0, 90.0, 10.0, "a")}) for k in range(60)]
+    assert recorded_course(given, replace(result, snapshots=snapshots), dt).x[0] == pytest.approx(10 * dt)
 
 
 def test_at_once_no_other_timing_of_a_log_is_possible() -> None:

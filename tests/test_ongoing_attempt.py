@@ -95,6 +95,15 @@ def test_what_controllers_say_is_told_at_the_time_limit(drive: Drive) -> None:
     assert (driven.ending, driven.message) == ("time_limit", "It is at 20 m/s.")
 
 
+def test_it_ends_when_the_ego_has_left(drive: Drive) -> None:
+    attempt = OngoingAttempt(drive, {"leader": None, "beside": None}, steps=50, replan=5)
+    attempt.step()
+    sumo = drive.simulation.api
+    sumo.vehicle.moveTo("ego", "eastbound_0", sumo.lane.getLength("eastbound_0") - 0.5)  # its route ends there
+    driven = attempt.step().driven
+    assert driven is not None and driven.ending == "ego_left"
+
+
 def test_it_ends_when_all_of_them_have_parted(drive: Drive) -> None:
     attempt = OngoingAttempt(drive, {"leader": None, "beside": None}, steps=50, replan=5)
     far = {"leader": Pose(200.0, -3.2, 0.0, 17.0)}

@@ -57,6 +57,12 @@ def test_a_process_that_cannot_go_on_is_explained(program: Program) -> None:
 
 
 @needs_fork
+def test_a_process_that_ends_as_if_all_was_well_is_explained_too(program: Program) -> None:
+    done = program.here(*RUN, "--ego", "stuck_drivers:AlwaysExitsAsIfDone")
+    assert done.status == 1 and "'sleepy' ended the simulation process" in done.err, done.err
+
+
+@needs_fork
 def test_no_deadline_is_for_a_debugger(program: Program) -> None:
     """The driver stops for 3 s in its first attempt; with a deadline of 0 it may."""
     done = program.here(*RUN, "--ego", "stuck_drivers:Debugged", "--ego-deadline", "0")

@@ -80,7 +80,10 @@ class UserEgo:
         self.wishes = read_wishes(driver, spec)
         attributes = getattr(driver, "sumo_type", None)
         given = sumo_type("idm", {}) if attributes is None else attributes
-        self.sumo_type: Mapping[str, str] = given if isinstance(given, DriverType) else dict(given)
+        if not isinstance(given, Mapping):
+            raise UsageError(f"The ego {spec!r} has a sumo_type of type {type(given).__name__}; give a dictionary.")
+        texts = given if isinstance(given, DriverType) else {str(name): str(value) for name, value in given.items()}
+        self.sumo_type: Mapping[str, str] = texts
 
     def reset(self, seed: int) -> None:
         """Reset the user's driver.
@@ -112,9 +115,10 @@ class UserEgo:
         names = _number_names(action)
         if not all(getattr(action, name) is None or type(getattr(action, name)) in (int, float) for name in names):
             action = replace(action, **{name: _plain(getattr(action, name)) for name in names})
-        for value in (getattr(action, name) for name in names):
-            if value is None and isinstance(action, LaneSpeed):
-                continue
+        numbers = {name: getattr(action, name) for name in names}
+        if isinstance(action, LaneSpeed) and action.lane is None:
+            del numbers["lane"]
+        for value in numbers.values():
             if not isinstance(value, int | float):
                 wrong = f"one of its numbers has the type {type(value).__name__}: use float(...)"
                 raise DriverError(f"The ego {self._spec!r} returned {action!r} {at}; {wrong}.")
@@ -123,6 +127,10 @@ class UserEgo:
                     f"The ego {self._spec!r} returned {str(action)[:200]} {at}; its numbers must be finite, "
                     f"and at most {MAX_ACTION_NUMBER:g}."
                 )
+        if isinstance(action, LaneSpeed) and isinstance(action.lane, float):
+            if not action.lane.is_integer():
+                raise DriverError(f"The ego {self._spec!r} returned the lane {action.lane:g} {at}; give its index.")
+            action = replace(action, lane=int(action.lane))
         if isinstance(action, Steer | LaneSpeed | PlannedPose) and (action.plan is not None or action.notes):
             try:
                 return replace(action, plan=_plan(action.plan), notes=_notes(action.notes))

@@ -359,9 +359,11 @@ class OngoingAttempt:
         return _straight_on(self._drive.state(name), self._dt) if controller is None else controller.advance()
 
     def _outcome(self, steps: int, before: Mapping[str, float], apart: Mapping[str, float]) -> Driven | None:
-        """Return how the attempt went if it has ended: by contact, parting or the time limit."""
+        """Return how the attempt went if it has ended: by contact, parting, an ego that left, or the time limit."""
         if 0.0 in apart.values():
             return self._ended("contact")
+        if self._ego not in self._drive.snapshot.raw:
+            return self._ended("ego_left")
         if all(far > PARTED_DISTANCE_M and far > before[name] for name, far in apart.items()):
             return self._ended("passed")
         return self._ended("time_limit") if steps >= self._steps else None

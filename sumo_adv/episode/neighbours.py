@@ -96,7 +96,7 @@ def recorded_course(attempt: Attempt, result: AttemptResult, dt: float) -> Presc
         dt: The step of the simulation [s].
     """
     bv = attempt.proposal.bv
-    parts = [result.tracks(dt, bv)[bv].between(result.start + dt / 100, np.inf)]
+    parts = [result.tracks(dt, bv)[bv].between(result.start + dt / 2, np.inf)]
     if bv in result.driven.beyond:
         parts.append(result.driven.beyond[bv])
     x, y, heading, speed = (np.concatenate([getattr(t, n) for t in parts]) for n in ("x", "y", "heading", "speed"))

@@ -60,11 +60,12 @@ def delays(
             counts.
 
     Returns:
-        The delays after the trigger [s].
+        The delays after the trigger [s], each a whole number of steps.
     """
     soonest = min((_steps_to_conflict(c, tracks, ego_id, both) for c in ranking), default=0.0)
     shift = min(max(0.0, math.floor(soonest * settings.step_length - MAX_CONFLICT_TIME_S)), MAX_START_SHIFT_S)
-    return [shift + d for d in settings.delays]
+    starts = (settings.steps(shift + delay) * settings.step_length for delay in settings.delays)
+    return list(dict.fromkeys(round(start, 6) for start in starts))
 
 
 def _steps_to_conflict(ranked: RankedVehicle, tracks: Mapping[str, Track], ego_id: str, both: bool) -> float:

@@ -24,6 +24,7 @@ from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES
 from sumo_adv.simulation.programs import load_libsumo
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
+ENDED_ITSELF = 86  # exit code of a fork whose episode is over; a driver that ends the process rarely has it
 OWN_VARIABLES = {*SINGLE_THREAD_VARIABLES, "TMPDIR"}  # kept by the engine process, whatever its front has
 
 
@@ -58,8 +59,8 @@ class WarmWorker(EpisodeWorker, WarmCalls):
             if pid != 0:
                 _, status = os.waitpid(pid, 0)
                 shutil.rmtree(own, ignore_errors=True)
-                if status != 0:
-                    _end_as(os.waitstatus_to_exitcode(status))
+                if (code := os.waitstatus_to_exitcode(status)) != ENDED_ITSELF:
+                    _end_as(code)
                 return
             self._in_fork = True
             die_with_parent()
@@ -74,7 +75,7 @@ class WarmWorker(EpisodeWorker, WarmCalls):
         """End the fork. Its parent answers the call."""
         if self._in_fork:
             sys.stdout.flush()
-            os._exit(0)
+            os._exit(ENDED_ITSELF)
 
 
 def _end_as(exitcode: int) -> None:

@@ -212,30 +212,37 @@ class EpisodeWorker(EpisodeCalls):
             plan = manoeuvre_plan(case, verdict.contact_time) if MANOEUVRE in names else None
             asked = [name for name in names if name != MANOEUVRE or plan is not None]
             answers = self._in_loop(proposal, asked, plan, case.lane_half_width)
-            if answers is None:
-                return None
             in_loop |= dict.fromkeys(names, COLLIDES) | answers
         return replace(kinematic, in_loop={name: in_loop[name] for name in REFERENCE_DRIVERS if name in in_loop})
 
-    def _in_loop(
-        self, proposal: Proposal, names: Sequence[str], plan: Boxes | None, half: float
-    ) -> dict[str, str] | None:  # fmt: skip
-        """Return by driver ``AVOIDS`` or ``COLLIDES``, as it drives in the loop; None if SUMO dies."""
+    def _in_loop(self, proposal: Proposal, names: Sequence[str], plan: Boxes | None, half: float) -> dict[str, str]:
+        """Return by driver ``AVOIDS`` or ``COLLIDES``, as it drives in the loop.
+
+        A driver with which SUMO dies or the tested driver fails shows no way out, so it counts as ``COLLIDES``.
+        """
         answers: dict[str, str] = {}
         for first in range(0, len(names), len(self._slots)):
             batch = names[first : first + len(self._slots)]
             works = [
                 partial(
-                    self._encounter.avoids, proposal, self._asks(REFERENCE_DRIVERS.index(name), proposal, slot), name,
+                    self._avoids, proposal, self._asks(REFERENCE_DRIVERS.index(name), proposal, slot), name,
                     plan if name == MANOEUVRE else None, half,
                 )
                 for name, slot in zip(batch, self._slots, strict=False)
             ]  # fmt: skip
-            avoid = self._branch(works, lambda why: None)
-            if None in avoid:
-                return None
+            avoid = self._branch(works, lambda why: False)
             answers |= {name: AVOIDS if good else COLLIDES for name, good in zip(batch, avoid, strict=True)}
         return answers
+
+    def _avoids(
+        self, proposal: Proposal, asks: Sequence[AskOne], name: str, plan: Boxes | None, half: float
+    ) -> bool:  # fmt: skip
+        """Return whether a reference driver avoids the collision; not if the driver fails or uses up the memory."""
+        try:
+            with self._within_memory():
+                return self._encounter.avoids(proposal, asks, name, plan, half)
+        except DriverError:
+            return False
 
     def directed_attempt(self, prepare: Director) -> None:
         dialogue, questions = self._slots[:2]
