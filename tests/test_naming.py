@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_words_motion import BEND, turning_ego
 
 from sumo_adv.datatypes import Floats, NamedScenario, RoadGeometry, Role, Track
-from sumo_adv.geometry import make_path
+from sumo_adv.geometry import Path, make_path
 from sumo_adv.words.motion import Scene, follow
 from sumo_adv.words.naming import NamingContext, named
 
@@ -30,9 +32,11 @@ NEIGHBOUR, ONCOMING, CROSSING = NamingContext("neighbour"), NamingContext("oncom
 JUNCTION = NamingContext("crossing", junction=True, geometry=None)
 
 
-def name_of(adversary: Track, around: NamingContext, *, contact: bool = False, ego: Track = EGO) -> NamedScenario:
+def name_of(
+    adversary: Track, around: NamingContext, *, contact: bool = False, ego: Track = EGO, way: Path = WAY
+) -> NamedScenario:
     side = "front" if contact else None
-    course = follow(Scene(ego, adversary, (), WAY, around.relation, around.hidden, side, 0.0))
+    course = follow(Scene(ego, adversary, (), way, around.relation, around.hidden, side, 0.0))
     assert course is not None
     return named(course, around, contact=contact)
 
@@ -114,6 +118,41 @@ def test_turns_across_the_path_of_oncoming_traffic() -> None:
     assert crosses.motion == "oncoming vehicle turns left across the ego's way"
     mirrored = NamingContext("oncoming", junction=True, geometry=None, ego_turn=-math.radians(90), hand=-1.0)
     assert name_of(straight, mirrored, contact=True).euro_ncap == "CCFtap"
+
+
+@pytest.mark.parametrize(("signalised", "number"), [(False, 29), (True, 27)])
+def test_an_ego_that_turns_left_across_an_oncoming_vehicle(signalised: bool, number: int) -> None:
+    """The nearest place of the ego's path to a vehicle far ahead is behind the turn, where they differ by 94 degrees.
+
+    40 m before the turn at first, the ego is 8 m into it after 6 s: 8 / 9.6 rad or 48 degrees.
+    """
+    ego, west = turning_ego(40.0), track("o", 10.9 + 12.0 * (6.0 - TIME), STILL + 3.5, math.pi, 12.0)
+    turn = math.radians(90)
+    may = frozenset({"straight", "left"})
+    around = NamingContext("crossing", False, True, signalised, geometry=None, ego_turn=turn, movements=may)
+    scenario = name_of(west, around, contact=True, ego=ego, way=BEND)
+    tap = "oncoming vehicle, the ego turns left across its way"
+    assert scenario == NamedScenario(tap, number, euro_ncap="CCFtap")
+
+
+def test_what_is_not_oncoming_to_an_ego_that_turns_left() -> None:
+    """A vehicle that comes southward from the left, one from the right, a leader in the turn, and a neighbour."""
+    ego = turning_ego(40.0)
+    around = NamingContext("crossing", junction=True, geometry=None, ego_turn=math.radians(90))
+    south = track("c", STILL + 6.0, 8.0 + 8.0 * (6.0 - TIME), -math.pi / 2, 8.0)
+    scenario = name_of(south, around, contact=True, ego=ego, way=BEND)
+    assert (scenario.motion, scenario.nhtsa) == ("comes from the left, the ego turns left", 31)
+    north = track("c", STILL + 10.0, -1.5 - 8.0 * (6.0 - TIME), math.pi / 2, 8.0)
+    assert name_of(north, around, contact=True, ego=ego, way=BEND).motion == "comes from the right, the ego turns left"
+    leader = track("l", STILL + 9.6, 12.0 + 0.5 * TIME, math.pi / 2, 0.5)
+    ahead_of_it = replace(around, relation="leader")
+    assert name_of(leader, ahead_of_it, contact=True, ego=ego, way=BEND).motion == "leader drives slower"
+    inner = turning_ego(40.0)  # 3 m to the left of the ego
+    beside = track(
+        "n", inner.x - 3.0 * np.sin(inner.heading), inner.y + 3.0 * np.cos(inner.heading), inner.heading, 8.0
+    )
+    next_to_it = replace(around, relation="neighbour")
+    assert name_of(beside, next_to_it, ego=ego, way=BEND).motion == "is beside an ego that turns left"
 
 
 def test_crossing_paths() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -27,6 +28,21 @@ def track(name: str, x: Floats, y: Floats, heading: float, speed: Floats | float
     return Track(name, role, TIME, x, y, headings, speeds, np.zeros(len(TIME)), *size)
 
 
+def turning_ego(begins: float) -> Track:
+    """An ego that turns left at x = 0 with 8 m/s on an arc of 9.6 m; it comes from ``begins`` metres before."""
+    angle = np.maximum(8.0 * TIME - begins, 0.0) / BEND_RADIUS_M
+    x = np.where(angle > 0.0, BEND_RADIUS_M * np.sin(angle), 8.0 * TIME - begins)
+    ego = track("ego", x, BEND_RADIUS_M * (1.0 - np.cos(angle)), 0.0, 8.0, (4.8, 1.8))
+    return replace(ego, heading=angle)
+
+
+def mirror(vehicle: Track) -> Track:
+    return replace(vehicle, y=-vehicle.y, heading=-vehicle.heading)
+
+
+BEND_RADIUS_M = 9.6
+ARC = [(BEND_RADIUS_M * math.sin(a), BEND_RADIUS_M * (1.0 - math.cos(a))) for a in np.linspace(0.0, math.pi / 2, 20)]
+BEND = make_path([(-60.0, 0.0), *ARC, (BEND_RADIUS_M, 340.0)])  # eastward, then northward
 EGO = track("ego", EGO_SPEED * TIME, 0.0 * TIME, 0.0, EGO_SPEED, (4.8, 1.8))
 
 
@@ -68,6 +84,14 @@ def test_a_lane_change_of_the_ego_is_told_by_the_lanes() -> None:
     ]
 
 
+def test_in_left_hand_traffic_lanes_count_from_the_left() -> None:
+    """From the leftmost lane to the next one on its right after three seconds."""
+    lanes = ("main_0",) * 30 + ("main_1",) * 31
+    motion = observe(Scene(replace(EGO, lane=lanes), cut_in(), (), WAY, "neighbour", False, None, 0.0, hand=-1.0))
+    assert motion is not None
+    assert "EGO changes to the lane on its right; it is over the line at 3.0 s." in motion.words
+
+
 def test_a_vehicle_that_turns_into_the_way_comes_across_and_then_enters() -> None:
     """Northward at x = 30 m from y = -10 m with 5 m/s, and from 2 s on eastward."""
     y = np.minimum(-10.0 + 5.0 * TIME, 0.0)
@@ -83,6 +107,26 @@ def test_the_order_counts() -> None:
     asked = Asked(events=(Event.BRAKES, Event.ENTERS_FROM_LEFT))
     (lack,) = misfits(compare(asked, seen(cut_in())))
     assert lack.startswith("'enters_from_left' does not happen after 'brakes'")
+
+
+def test_an_event_that_is_requested_twice_must_happen_twice() -> None:
+    """It loses 4 m/s from 1 s to 2 s, and in the second motion 4 m/s more from 4 s to 5 s."""
+    once = 10.0 - np.clip(4.0 * (TIME - 1.0), 0.0, 4.0)
+    twice = once - np.clip(4.0 * (TIME - 4.0), 0.0, 4.0)
+    asked = Asked(events=(Event.BRAKES, Event.BRAKES))
+    for speed, holds in ((once, [True, False]), (twice, [True, True])):
+        motion = seen(track("l", 20.0 + 8.0 * TIME, 0.0 * TIME, 0.0, speed, (4.8, 1.8)))
+        assert [part.holds for part in compare(asked, motion)] == holds
+    assert compare(asked, motion)[1].says == "'brakes' happens at 4.0 s after 'brakes'."
+
+
+def test_one_crossing_is_not_two() -> None:
+    """From 20 m on the left with 8 m/s; in the second motion it is 10 m on the left again at 4 s."""
+    crossed = track("c", 0.0 * TIME + 40.0, 20.0 - 8.0 * TIME, -np.pi / 2, 8.0, (4.0, 1.8))
+    again = replace(crossed, y=np.where(TIME < 4.0, crossed.y, 42.0 - 8.0 * TIME))
+    asked = Asked(events=(Event.CROSSES_FROM_LEFT, Event.CROSSES_FROM_LEFT))
+    assert [part.holds for part in compare(asked, seen(crossed))] == [True, False]
+    assert [part.holds for part in compare(asked, seen(again))] == [True, True]
 
 
 def test_each_part_of_a_request_holds_or_does_not() -> None:
@@ -104,6 +148,20 @@ def test_a_contact_counts_as_being_in_the_way() -> None:
     assert Event.ENTERS_FROM_LEFT in events(seen(beside, side="left"))
 
 
+def test_an_ego_that_swerves_into_a_neighbour_is_not_entered() -> None:
+    """The neighbour stays 3.5 m beside the ego's way, 1.7 m outside of it; the ego swerves by 1.6 m within a second."""
+    neighbour = track("n", EGO.x + 1.0, 0.0 * TIME + 3.5, 0.0, EGO_SPEED, (4.8, 1.8))
+    swerves = replace(EGO, y=1.6 * np.clip(TIME - 5.0, 0.0, 1.0))
+    motion = observe(Scene(swerves, neighbour, (), WAY, "neighbour", False, "left", 0.0))
+    assert motion is not None and motion.events == ()
+
+
+def test_a_fast_crossing_vehicle_is_in_the_way_at_a_contact() -> None:
+    """It moves 1.2 m in a step of 0.1 s; the last state before the contact is 1 m outside of the way."""
+    crossing = track("c", EGO.x + 1.0, 3.9 + 12.0 * (6.0 - TIME), -np.pi / 2, 12.0, (4.0, 1.8))  # 3.9 - 2.0 - 0.9 = 1
+    assert events(seen(crossing, side="left")) == {Event.CROSSES_FROM_LEFT: 6.0}
+
+
 @pytest.mark.parametrize(("sign", "event"), [(1, Event.CROSSES_FROM_LEFT), (-1, Event.CROSSES_FROM_RIGHT)])
 def test_a_crossing_vehicle_comes_from_a_side(sign: int, event: Event) -> None:
     y = sign * (20.0 - 8.0 * TIME)
@@ -116,6 +174,30 @@ def test_an_oncoming_vehicle_comes_over() -> None:
     y = np.clip(3.45 - 1.0 * TIME, 0.0, 3.5)  # less than 1.8 m from 1.7 s on
     oncoming = track("o", 150.0 - 10.0 * TIME, y, np.pi, 10.0, (4.8, 1.8))
     assert events(seen(oncoming)) == {Event.COMES_OVER: 1.7}
+
+
+@pytest.mark.parametrize("hand", [1.0, -1.0])
+def test_an_oncoming_vehicle_that_turns_comes_over_on_either_side_of_traffic(hand: float) -> None:
+    """It comes westward, 5 m beside the ego's way on the far side, and turns by 90 degrees across it after 2 s."""
+    x, y = 80.0 - 10.0 * np.minimum(TIME, 2.0), 5.0 - 4.0 * np.maximum(TIME - 2.0, 0.0)
+    turner = replace(track("o", x, y, 0.0, 4.0, (4.8, 1.8)), heading=np.where(TIME < 2.0, np.pi, 1.5 * np.pi))
+    motion = seen(turner if hand > 0 else mirror(turner), hand=hand)
+    assert events(motion)[Event.COMES_OVER] == 2.5  # 5 - 4 * 0.5 = 3 < 2.4 + 0.9
+
+
+@pytest.mark.parametrize("hand", [1.0, -1.0])
+def test_an_oncoming_vehicle_comes_over_before_an_ego_that_turns(hand: float) -> None:
+    """The ego's path, 36 m before the turn at first, is 7 m to the side where it heads 74 degrees to the left.
+
+    There, the path and the oncoming vehicle's heading differ by 180 - 74 = 106 degrees.
+    """
+    ego, oncoming = turning_ego(36.0), track("o", 12.5 + 12.0 * (6.0 - TIME), 0.0 * TIME + 7.0, np.pi, 12.0, (4.8, 1.8))
+    way = BEND
+    if hand < 0:
+        ego, oncoming = mirror(ego), mirror(oncoming)
+        way = make_path([(x, -y) for x, y in zip(BEND.x.tolist(), BEND.y.tolist(), strict=True)])
+    motion = observe(Scene(ego, oncoming, (), way, "crossing", False, "front", 0.0, hand=hand))
+    assert motion is not None and [event for _, event in motion.events] == [Event.COMES_OVER]
 
 
 def test_a_vehicle_passes_on_the_right_while_another_is_beside_on_the_left() -> None:

@@ -391,7 +391,7 @@ def _motion_of(
             cut[found.ego], cut[bv], others, situation.baseline.path, first.relation, first.hidden,
             attempt.verdict.contact_side if attempt.verdict.collided and bv == p.bv else None, start,
             _runs_light(bv, situation, result, float(cut[bv].time[0]) if len(cut[bv].time) else start),
-            sight_from(found, settings, start), until,
+            sight_from(found, settings, start), until, situation.frame.hand,
         )
     )  # fmt: skip
 

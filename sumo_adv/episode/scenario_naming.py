@@ -54,8 +54,11 @@ def scenario_of(
     path, contact = situation.baseline.path, verdict.collided
     side = verdict.contact_side or "" if contact else None
     course = follow(
-        Scene(tracks[found.ego], tracks[proposal.bv], (), path, first.relation, first.hidden, side, result.start)
-    )
+        Scene(
+            tracks[found.ego], tracks[proposal.bv], (), path, first.relation, first.hidden, side, result.start,
+            hand=situation.frame.hand,
+        )
+    )  # fmt: skip
     if course is None:
         return None
     k = decisive(course, contact)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.asked import Asked, Event
-from sumo_adv.words.motion import DescribedMotion, change_after
+from sumo_adv.words.motion import DescribedMotion, change_after, end_of_change
 
 BRAKING_WINDOW_S = 0.5  # duration over which braking is averaged
 EVENT_ORDER_SLACK_S = 0.4  # an event may be this much earlier than its predecessor
@@ -33,7 +34,8 @@ class Part:
 def compare(asked: Asked, motion: DescribedMotion) -> tuple[Part, ...]:
     """Compare a motion with each part of a request.
 
-    Events are looked for in their order. An event that does not happen does not constrain the events after it.
+    Events are looked for in their order. An event that does not happen does not constrain the events after it. An
+    event that is requested twice must happen twice.
 
     Args:
         asked: The request.
@@ -155,9 +157,13 @@ def _events(wanted: Sequence[Event], motion: DescribedMotion) -> Iterator[Part]:
 def _times_of(wanted: Sequence[Event], motion: DescribedMotion) -> list[float | None]:
     """Return when the wanted events happen in their order [s]; None for one that does not."""
     after, times = 0.0, list[float | None]()
+    ends: dict[Event, float] = {}  # when the last occurrence of an event ends [s]
     for event in wanted:
-        time = _time_of(event, after - EVENT_ORDER_SLACK_S, motion)
-        after = after if time is None else max(after, time)
+        earliest = max(after - EVENT_ORDER_SLACK_S, ends.get(event, -math.inf))
+        time = _time_of(event, earliest, motion)
+        if time is not None:
+            after = max(after, time)
+            ends[event] = _end_of(event, time, motion)
         times.append(time)
     return times
 
@@ -167,6 +173,13 @@ def _time_of(event: Event, earliest: float, motion: DescribedMotion) -> float | 
     if event in (Event.BRAKES, Event.SPEEDS_UP):
         return change_after(motion.time, motion.speed, earliest, event)
     return min((time for time, happened in motion.events if happened is event and time >= earliest), default=None)
+
+
+def _end_of(event: Event, time: float, motion: DescribedMotion) -> float:
+    """Return the earliest time of another occurrence of an event that happens at ``time`` [s]."""
+    if event in (Event.BRAKES, Event.SPEEDS_UP):
+        return end_of_change(motion.time, motion.speed, time, event)
+    return math.nextafter(time, math.inf)
 
 
 def _hardest(motion: DescribedMotion) -> float:

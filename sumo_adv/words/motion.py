@@ -30,8 +30,11 @@ TURN_ANGLE_RAD = math.radians(45)  # minimum change of the adversary's heading i
 EGO_TURN_ANGLE_RAD = math.radians(30)  # minimum change of the ego's heading in a turn
 ONCOMING_ANGLE_RAD = math.radians(120)  # minimum heading relative to the ego's path of an oncoming vehicle
 MIN_SPEED_CHANGE_M_S = 2.0  # minimum change that counts as braking or speeding up
+CHANGE_PAUSE_S = 0.5  # braking or speeding up has ended when the speed changes no further for this long
 DESCRIBED_AS_STANDING_SPEED_M_S = 0.5
 MIN_HIDDEN_S = 0.5  # minimum time that an adversary is out of sight
+CONTACT_GAP_M = 0.5  # maximum gap to the ego's way at a contact, beyond what a vehicle moves to it in the last step
+TURN_END_M = 15.0  # past the ego's farthest place; a turn that the ego has begun ends within this distance
 IN_LINE_M = 0.5  # maximum offset of a vehicle that is on no side of the ego's way
 MAX_BESIDE_OFFSET_M = 4.5  # maximum offset of a vehicle beside the ego
 AFTER_APPROACH_S = 3.0  # how long after the nearest approach events count if nothing is hit
@@ -55,6 +58,7 @@ class Scene:
         light: When the adversary passes its stop line on red or yellow [s], and that event; None if it does not.
         sight: How far the ego sees along its way; None without a limit.
         until: The time up to which the motion is described at least [s after the take-over].
+        hand: 1 in right-hand traffic, -1 in left-hand traffic.
     """
 
     ego: Track
@@ -68,6 +72,7 @@ class Scene:
     light: tuple[float, Event] | None = None
     sight: SightLimits | None = None
     until: float = 0.0
+    hand: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +193,19 @@ def observe(scene: Scene) -> DescribedMotion | None:
     )  # fmt: skip
 
 
+def heading_from_ego(ego: Track, adversary: Track, ego_along: PathTrack) -> float:
+    """Return the adversary's first heading relative to the path at the ego's first place [rad].
+
+    Use it if the ego turns: the path's nearest place to an oncoming vehicle may then be behind the turn.
+
+    Args:
+        ego: The ego's track.
+        adversary: The adversary's track.
+        ego_along: The ego along its path.
+    """
+    return float(wrap(adversary.heading[0] - (ego.heading[0] - ego_along.turn[0])))
+
+
 def _end(scene: Scene, ego: Track, bv: Track) -> int:
     """Count the states to use: all up to a contact; otherwise until ``AFTER_APPROACH_S`` after the nearest approach."""
     if scene.side is not None:
@@ -246,8 +264,12 @@ def _along(track: Track, path: Path) -> PathTrack:
 def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: PathTrack) -> list[tuple[float, Event]]:
     """Return what the adversary does, with times after the take-over [s]."""
     inside = np.abs(b.d) < b.half + ego.width / 2
-    inside[-1] |= scene.side is not None  # the tracks end just before the boxes touch
-    found = [*_way_events(t, b, inside), *_pass_events(t, a, b), *_speed_events(t, bv)]
+    if scene.side is not None:  # the tracks end just before the boxes touch
+        last_step = max(abs(float(b.d[-2])) - abs(float(b.d[-1])), 0.0)
+        gap = abs(float(b.d[-1])) - float(b.half[-1]) - ego.width / 2
+        inside[-1] |= gap < CONTACT_GAP_M + last_step  # otherwise, the ego has left its way and hits the adversary
+    towards = _turns(scene.path, a) and abs(heading_from_ego(ego, bv, a)) >= ONCOMING_ANGLE_RAD
+    found = [*_way_events(t, b, inside, scene.hand, towards), *_pass_events(t, a, b), *_speed_events(t, bv)]
     turned = np.unwrap(bv.heading) - bv.heading[0]
     for event, where in ((Event.TURNS_LEFT, turned >= TURN_ANGLE_RAD), (Event.TURNS_RIGHT, turned <= -TURN_ANGLE_RAD)):
         if (k := _first(where)) is not None:
@@ -257,11 +279,19 @@ def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: Pat
     return [(round(max(time, 0.0), 1), event) for time, event in found]
 
 
-def _way_events(t: Floats, b: PathTrack, inside: Bools) -> list[tuple[float, Event]]:
+def _turns(path: Path, a: PathTrack) -> bool:
+    """Return whether the ego's path turns as at a junction: within a short distance, so no curve of a road counts."""
+    s = np.arange(float(a.s[0]), float(a.s.max()) + TURN_END_M, 1.0)
+    change = path.at(np.minimum(s + NEXT_PLACE_REACH_M, s[-1]))[2] - path.at(s)[2]
+    return bool((np.abs(change) >= EGO_TURN_ANGLE_RAD).any())
+
+
+def _way_events(t: Floats, b: PathTrack, inside: Bools, hand: float, towards: bool) -> list[tuple[float, Event]]:
     """Return when the adversary comes into the ego's way and leaves it.
 
     A vehicle that is in the way at first does not enter it. A vehicle that crosses and then, still in the way, turns
-    into the ego's direction does enter it.
+    into the ego's direction does enter it. With ``towards``, the ego turns, and the adversary comes towards its first
+    place.
     """
     found = []
     left = across = False  # whether it came from the left; whether it is in the way and has not yet turned into it
@@ -269,7 +299,9 @@ def _way_events(t: Floats, b: PathTrack, inside: Bools) -> list[tuple[float, Eve
         angle = abs(float(b.turn[k]))
         if inside[k] and not inside[k - 1]:
             left = bool(b.d[k] > 0)
-            if angle >= ONCOMING_ANGLE_RAD or (abs(float(b.turn[0])) >= ONCOMING_ANGLE_RAD and left):
+            far = left == (hand > 0)  # from the side of oncoming traffic
+            from_ahead = far and abs(float(b.turn[0])) >= ONCOMING_ANGLE_RAD
+            if angle >= ONCOMING_ANGLE_RAD or from_ahead or (towards and angle >= CROSSING_ANGLE_RAD):
                 found.append((float(t[k]), Event.COMES_OVER))
                 continue
             across = True
@@ -346,6 +378,27 @@ def change_after(time: Floats, speed: Floats, after: float, event: Event) -> flo
     return None if k is None else float(t[int(np.flatnonzero(gained[: k + 1] == since[k])[-1])])
 
 
+def end_of_change(time: Floats, speed: Floats, begun: float, event: Event) -> float:
+    """Return when the braking or speeding up that ``change_after`` found has ended.
+
+    Args:
+        time: The times [s], ``(n,)``.
+        speed: The speeds [m/s], ``(n,)``.
+        begun: When it began [s], as ``change_after`` returns it.
+        event: ``Event.BRAKES`` or ``Event.SPEEDS_UP``.
+
+    Returns:
+        The time [s] after which the speed changes no further for ``CHANGE_PAUSE_S``.
+    """
+    sign = -1.0 if event is Event.BRAKES else 1.0
+    keep = time >= begun
+    t, gained = time[keep], sign * speed[keep]
+    late = np.searchsorted(t, t + CHANGE_PAUSE_S + 1e-6)
+    first = _first(gained >= gained[0] + MIN_SPEED_CHANGE_M_S) or 0
+    ends = (k for k in range(first, len(t)) if (gained[k : late[k]] <= gained[k] + 1e-6).all())
+    return float(t[next(ends)])  # the last state, at the latest
+
+
 def _beside(a: PathTrack, o: PathTrack) -> str | None:
     """Return the side of the ego on which a vehicle first was beside it; None if it never was."""
     near = (np.abs(o.s - a.s) < o.reach + a.reach) & (np.abs(o.d) > 1.5) & (np.abs(o.d) < MAX_BESIDE_OFFSET_M)
@@ -406,7 +459,7 @@ def _words(
     lines = [
         f"EGO is {ego.length:.1f} m long and {_route(scene, ego, a)}. A is a {user}, {bv.length:.1f} m long and "
         f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
-        *_lane_changes(ego, t),
+        *_lane_changes(ego, t, scene.hand),
         *([] if unseen is None else [_unseen(unseen)]),
         *_others(a, others),
     ]
@@ -426,13 +479,14 @@ def _words(
     return "\n".join([*lines, end])
 
 
-def _lane_changes(ego: Track, t: Floats) -> list[str]:
+def _lane_changes(ego: Track, t: Floats, hand: float) -> list[str]:
     """Say when the ego comes into another lane of its road."""
     lines = []
     for k, (before, after) in enumerate(pairwise(ego.lane), start=1):
         (old, _, was), (new, _, now) = before.rpartition("_"), after.rpartition("_")
         if before != after and old == new and not new.startswith(":"):
-            side = "left" if int(now) > int(was) else "right"  # SUMO counts lanes from the right
+            inwards = int(now) > int(was)  # SUMO counts lanes from the right, in left-hand traffic from the left
+            side = "left" if inwards == (hand > 0) else "right"
             lines.append(f"EGO changes to the lane on its {side}; it is over the line at {t[k]:.1f} s.")
     return lines
 

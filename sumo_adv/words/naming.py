@@ -9,6 +9,7 @@ pedestrian,      by its heading at the decisive moment: along the ego's path (wi
 cyclist          side is that of the kerb
 oncoming         at first it heads against the ego's path by 120 degrees or more
 crossing         at first it heads across the ego's path, by 35 to 120 degrees
+                 (of the path, its nearest place counts; of an ego that turns, its place at the take-over)
 the same way     all others: it enters the ego's way, is ahead in it (leader), or behind in it (follower)
 ================ ====================================================================================================
 
@@ -37,6 +38,7 @@ from sumo_adv.words.motion import (
     MIN_SPEED_CHANGE_M_S,
     ONCOMING_ANGLE_RAD,
     Course,
+    heading_from_ego,
 )
 
 ALONG_RAD = math.radians(45)  # maximum heading relative to the ego's path of walkers that go along it
@@ -120,12 +122,20 @@ def named(course: Course, around: NamingContext, *, contact: bool) -> NamedScena
     user = road_user(course.adversary)
     if user is not RoadUser.VEHICLE:
         return _unprotected(course, around, user, k)
-    heading = abs(float(course.along.turn[0]))
+    heading = abs(_first_heading(course, around))
     if heading >= ONCOMING_ANGLE_RAD:
         return _oncoming(course, around, k)
     if heading >= CROSSING_ANGLE_RAD or (around.relation == "crossing" and around.junction):
         return _crossing(course, around, k)
     return _same_way(course, around, k, contact=contact)
+
+
+def _first_heading(course: Course, around: NamingContext) -> float:
+    """Return the adversary's first heading relative to the ego's path [rad]."""
+    nearest = float(course.along.turn[0])
+    if not around.ego_turns or abs(nearest) < CROSSING_ANGLE_RAD:  # it may go the same way ahead, after the turn
+        return nearest
+    return heading_from_ego(course.ego, course.adversary, course.ego_along)
 
 
 def _unprotected(course: Course, around: NamingContext, user: RoadUser, k: int) -> NamedScenario:
@@ -152,9 +162,10 @@ def _oncoming(course: Course, around: NamingContext, k: int) -> NamedScenario:
     motorcycle = is_motorcycle(course.adversary)
     turned = _turned(course, around, k)
     entered = _when(course, Event.COMES_OVER)
-    if around.junction and entered is not None and around.far_side in around.movements:
+    across = around.ego_turns == around.far_side  # such an ego is hit by those that go straight on
+    if around.junction and entered is not None and around.far_side in around.movements and not across:
         turned = turned or around.far_side  # most are hit before their turn shows
-    if around.ego_turns == around.far_side and not turned:
+    if across and not turned:
         tap = "CMFtap" if motorcycle else "CCFtap"
         return NamedScenario(
             f"oncoming vehicle, the ego turns {around.ego_turns} across its way", 27 if around.signalised else 29,
@@ -175,7 +186,7 @@ def _oncoming(course: Course, around: NamingContext, k: int) -> NamedScenario:
 
 def _crossing(course: Course, around: NamingContext, k: int) -> NamedScenario:
     """Name the conflict with a crossing vehicle."""
-    side = "left" if float(course.along.turn[0]) < 0 else "right"  # a vehicle from the left heads to the right
+    side = "left" if _first_heading(course, around) < 0 else "right"  # a vehicle from the left heads to the right
     turned = _turned(course, around, k)
     entered = any(event in (Event.ENTERS_FROM_LEFT, Event.ENTERS_FROM_RIGHT) for _, event in course.events)
     if turned or entered or around.ego_turns:
@@ -192,6 +203,8 @@ def _crossing(course: Course, around: NamingContext, k: int) -> NamedScenario:
 def _same_way(course: Course, around: NamingContext, k: int, *, contact: bool) -> NamedScenario:
     """Name the conflict with a vehicle that goes the same way."""
     motorcycle, turned = is_motorcycle(course.adversary), _turned(course, around, k)
+    if turned == around.ego_turns:
+        turned = ""  # it turns beside the ego, not across its way
     entered = next(((t, ENTRY_SIDES[e]) for t, e in course.events if e in ENTRY_SIDES), None)
     leaves = _when(course, Event.LEAVES)
     in_way = abs(float(course.along.d[0])) < _touching(course, 0)
@@ -262,10 +275,14 @@ def _turning(around: NamingContext, side: str) -> int:
 
 
 def _turned(course: Course, around: NamingContext, k: int) -> str:
-    """Return the side to which the adversary turns at a junction, relative to the ego's path; empty if it does not."""
+    """Return the side to which the adversary turns at a junction; empty if it does not.
+
+    Its heading is taken relative to the ego's path, which may follow a curve of the road, unless the ego turns.
+    """
     if not around.junction:
         return ""
-    change = float(wrap(np.asarray(course.along.turn[k] - course.along.turn[0])))
+    heading = course.adversary.heading if around.ego_turns else course.along.turn
+    change = float(wrap(np.asarray(heading[k] - heading[0])))
     if abs(change) >= TURNED_RAD:
         return "left" if change > 0 else "right"
     if not around.movements or "straight" in around.movements:
