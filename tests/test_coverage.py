@@ -72,6 +72,12 @@ def test_an_intent_that_is_retired_makes_no_cells() -> None:
     assert pairs_of([IntentRecord("Old", "It was.", ("leader",), "retired")]) == set()
 
 
+def test_pedestrians_and_cyclists_have_cells_of_the_relations_that_encounters_give_them() -> None:
+    child = IntentRecord("Child", "It runs out.", ("pedestrian", "pedestrian_hidden"))
+    rider = IntentRecord("Rider", "It rides on.", ("cyclist_straight",))
+    assert pairs_of([child, rider]) == {("Child", "crossing"), ("Rider", "crossing"), ("Rider", "oncoming")}
+
+
 def test_no_vehicle_is_oncoming_on_a_motorway() -> None:
     covered = make_coverage([], [IntentRecord("Intrude", "It intrudes.", ("oncoming",))])
     assert {row.cell.road for row in covered.rows[ALL_EGOS]} == {"rural", "urban", "junction"}

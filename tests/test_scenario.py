@@ -67,6 +67,7 @@ speed = 1.4
 times = [12.0, 20.0]
 """
 MINIMAL = 'schema = 1\nnetwork = "here.net.xml"\n'
+TWO = '[[attackers]]\nid = "a"\n[[attackers]]\nid = "b"\n'
 
 
 def written(folder: Path, text: str) -> Path:
@@ -146,6 +147,9 @@ def test_an_unknown_key_is_refused_by_name_with_the_known_ones(
         (MINIMAL + "[demand]\nend = inf\n", "'demand.end'"),
         (MINIMAL + '[window]\ntrigger = "soon"\n', "'window.trigger"),
         (MINIMAL + "[label]\nintents = []\n", "'label.intents'"),
+        (MINIMAL + TWO + 'asked = { level = "valid" }\n', "level and within hold for all attackers"),
+        (MINIMAL + TWO + "asked = { within = 3.0 }\n", "level and within hold for all attackers"),
+        (MINIMAL + "[asked]\nwithin = 3.0\n", "within in [asked] bounds the time between attackers"),
         ("schema = = 1\n", "not valid TOML"),
     ],
 )

@@ -117,6 +117,19 @@ def test_what_a_reader_refuses_does_not_count(tmp_path: Path) -> None:
     assert len(refused) == 2 and not set(refused) & {s["attempt"] for s in done.outcome["successes"]}
 
 
+def test_the_attempt_that_a_reader_fails_to_read_counts_as_the_rules_judge_it(tmp_path: Path) -> None:
+    """The reader gives no usable answer, twice. The run ends, with the attempt that met the goal."""
+    unusable = {"happened": "A brakes.", "parts": []}  # a reading needs a part of the request
+    with ModelServer(lambda q: unusable if is_reader(q) else plan(q, "Aggressive Cut-in")) as server:
+        done = run(tmp_path, server, "motorway_cut_in_left", "--ask", WORDS, "--until", "valid", "--llm", "gpt-test")
+    assert [is_reader(request) for request in server.asked] == [False, True, True]
+    outcome = done.outcome
+    last = outcome["attempts"][-1]
+    assert (outcome["ending"], last["level"], last.get("misfits")) == ("model_failed", "valid", None)
+    assert [success["attempt"] for success in outcome["successes"]] == [last["index"]]
+    assert outcome["asked"]["fits"] and outcome["asked"]["reading"] is None
+
+
 def test_an_encounter_that_cannot_play_it_is_passed_over_with_the_reason(tmp_path: Path) -> None:
     questions: list[Asked] = []
 

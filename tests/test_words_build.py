@@ -13,6 +13,8 @@ from sumo_samples import make_net
 from sumo_adv.asked import RequestOrigin
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder, load_input
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.words.build import build_scenario
 from sumo_adv.words.draft import SceneDraft
 from sumo_adv.words.roads import Net
@@ -207,6 +209,66 @@ def test_lights_go_through_the_phases_of_a_draft(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert [link["west_in"] for link in links] == [link["east_in"] for link in links] == ["G", "y", "r", "r", "r"]
     assert [link["north_in"] for link in links] == [link["south_in"] for link in links] == ["r", "r", "r", "G", "y"]
+
+
+ARMS_OF_TWO_LIGHTS = """
+<node id="west" x="-300" y="0"/><node id="near" x="0" y="0" type="traffic_light"/>
+<node id="far" x="300" y="0" type="traffic_light"/><node id="east" x="600" y="0"/>
+<node id="north" x="0" y="300"/><node id="south" x="0" y="-300"/><node id="beyond" x="300" y="300"/>
+"""
+
+
+def test_lights_with_crossings_for_pedestrians_are_set_on_the_ego_s_way_only(tmp_path: Path) -> None:
+    """Pedestrians have links of their own at the end of a light's state, which stay red. The ego turns off before the
+    second light, which keeps the network's program."""
+    ways = ("west near", "near far", "far east", "north near", "near south", "far beyond")
+    both = [(f"{start}_{end}", start, end) for a, b in map(str.split, ways) for start, end in ((a, b), (b, a))]
+    edges = "".join(f'<edge id="{name}" from="{a}" to="{b}" speed="12"/>' for name, a, b in both)
+    options = ("--sidewalks.guess", "--crossings.guess", "--no-turnarounds")
+    net = make_net(tmp_path, ARMS_OF_TWO_LIGHTS, edges, *options)
+    draft = scene(
+        {"kind": "given"}, {"route": ["west_near", "near_south"], "speed": 36},
+        other(("north_near", "near_south"), arrives=0),
+    )  # fmt: skip
+    made = load_input(build_scenario(draft, tmp_path / "my.toml", WRITTEN, net))
+    (program,) = ElementTree.parse(tmp_path / "my.add.xml").getroot().iter("tlLogic")
+    root = ElementTree.parse(net).getroot()
+    links = {
+        int(c.get("linkIndex", "")): (c.get("from", ""), c.get("dir"))
+        for c in root.iter("connection") if c.get("tl") == "near"
+    }  # fmt: skip
+    (phase,) = program.iter("phase")
+    state = phase.get("state", "")
+    assert program.get("id") == "near" and len(state) == len(links) == 12 + 4  # three turns of four arms, crossings
+    turns = {turn: state[k] for k, (name, turn) in links.items() if name == "west_near"}
+    assert turns == {"l": "g", "s": "G", "r": "G"}
+    assert {state[k] for k, (name, _) in links.items() if name.startswith((":", "north", "south"))} == {"r"}
+    sim = Simulation(SimulationSpec(made.network, made.routes, made.additional, 0.0, 1))
+    try:
+        sim.step()
+        assert set(sim.read().raw) == {"ego", "other"}
+    finally:
+        sim.close()
+
+
+def test_in_left_hand_traffic_lane_0_is_the_rightmost_and_the_right_turn_waits(tmp_path: Path) -> None:
+    """On the way from the west the lanes lie at y = 1.6 and, on the left, 4.8; SUMO's index 0 is that at 4.8."""
+    net = Net(data_folder("networks") / "left_hand_crossing.net.xml")
+    for lane, (index, y) in enumerate(((1, 1.6), (0, 4.8))):
+        drive = net.drive(("west_in", "east_out"), lane, "passenger", "the ego")
+        assert (drive.lane, drive.at(0.0)[1]) == (index, pytest.approx(y))
+    nodes = '<node id="w" x="-200" y="0"/><node id="c" x="0" y="0" type="traffic_light"/><node id="e" x="200" y="0"/>'
+    nodes += '<node id="s" x="0" y="-200"/><node id="n" x="0" y="200"/>'
+    edges = "".join(
+        f'<edge id="{arm}_in" from="{arm}" to="c"/><edge id="{arm}_out" from="c" to="{arm}"/>' for arm in "wesn"
+    )
+    path = make_net(tmp_path, nodes, edges, "--lefthand", "--no-turnarounds")
+    (state,) = Net(path).light_states(("w_in", "e_out"), "ego_green").values()
+    turns = {
+        c.get("dir"): state[int(c.get("linkIndex", ""))]
+        for c in ElementTree.parse(path).getroot().iter("connection") if c.get("tl") and c.get("from") == "w_in"
+    }  # fmt: skip
+    assert turns == {"l": "G", "s": "G", "r": "g"}
 
 
 STRAIGHT, ALONG = {"kind": "straight", "length": 500}, {"route": ["forward", "forward"], "speed": 36}
@@ -437,3 +499,12 @@ def test_an_adversary_is_named_once_and_there_are_at_most_three(tmp_path: Path) 
     nobody = RACE | {"others": [{"adversary": "nobody", "asked": {}}]}
     with pytest.raises(UsageError, match="names 'nobody', which is no vehicle"):
         build_scenario(race(nobody), tmp_path / "my.toml", WRITTEN)
+
+
+def test_what_holds_for_all_attackers_is_refused_where_it_would_count_for_nothing(tmp_path: Path) -> None:
+    for key, value in (("level", "valid"), ("within", 2)):
+        of_one = RACE | {"others": [{"adversary": "second", "asked": {key: value}}]}
+        with pytest.raises(UsageError, match="level and within hold for all attackers"):
+            build_scenario(race(of_one), tmp_path / "my.toml", WRITTEN)
+    with pytest.raises(UsageError, match="within bounds the time between several attackers"):
+        build_scenario(race(RACE | {"others": []}), tmp_path / "my.toml", WRITTEN)

@@ -64,6 +64,22 @@ def test_words_become_a_scenario_that_runs_and_fits(tmp_path: Path) -> None:
     assert "squeezes in" in server.asked[1].last and "neighbour" not in server.asked[1].last  # it sees no plan
 
 
+NO_ANSWER = {"happened": "A vehicle comes over.", "parts": []}  # a reading needs a part of the request
+
+
+@pytest.mark.parametrize(("most_calls", "readings"), [(20, 2), (1, 0)])
+def test_what_ran_and_fits_is_kept_if_the_reader_fails(tmp_path: Path, most_calls: int, readings: int) -> None:
+    """The reader gives no usable answer, twice; or the only call was that of the draft."""
+    (tmp_path / "settings.toml").write_text(f"llm_max_calls = {most_calls}\n")
+    with ModelServer(lambda request: NO_ANSWER if is_reader(request) else cut_in()) as server:
+        more = ("--settings", "settings.toml")
+        done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK, *more)
+    assert done.status == 0, done.err
+    assert "Fits: yes, by the rules" in done.out and (tmp_path / "my.toml").is_file()
+    assert [is_reader(request) for request in server.asked] == [False] + [True] * readings
+    assert ("the rules alone decide, because the reader failed" in done.err) == (readings > 0)
+
+
 def test_the_exact_error_goes_back_to_the_model(tmp_path: Path) -> None:
     drafts = iter([cut_in(route=["forward", "backwards"]), cut_in(gap=-90), cut_in()])
     with ModelServer(lambda request: READ if is_reader(request) else next(drafts)) as server:

@@ -237,7 +237,7 @@ def _three_lines(made: Played, out: Path, folder: Path) -> str:
     told = sanitize(reading.happened) if reading is not None else "see the page of the run."
     if made.outcome["best"] is None:
         told = made.outcome["reason"]
-    by = "by the rules and to a reader" if reading is not None else "by the rules; no reader was asked"
+    by = "by the rules and to a reader" if reading is not None else "by the rules; no reader has read it"
     missed = "" if made.reached else f" The goal was not reached: {made.outcome['goal']}."
     holds = held((made.outcome["asked"] or {}).get("parts", []))
     fits = f"yes, {by}." if not made.misfits else f"no: {sanitize(' '.join(made.misfits))} {holds}".rstrip()

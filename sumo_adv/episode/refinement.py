@@ -24,6 +24,7 @@ from sumo_adv.episode.order import best_index, worth
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.run import EncounterRecord
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.errors import ModelError
 from sumo_adv.goal import Goal
 from sumo_adv.search.ranking import FixedOrder, as_written, chosen_candidates
 from sumo_adv.search.search import AttackSearch
@@ -191,7 +192,8 @@ class Refiner:
             done: Collects the attempts. Its ending and reason say how they ended.
 
         Raises:
-            ModelError: A model that plays an agent failed. ``done`` then holds the attempts before the failure.
+            ModelError: A model that plays an agent failed. ``done`` then holds the attempts before the failure. If the
+                reader failed, the last of them is the attempt that it was to read, as the rules judge it.
         """
         with done.clock.part("prediction"):
             self._search_attack(intents, done)
@@ -283,15 +285,22 @@ class Refiner:
             attempt = self._attempt(len(done.attempts), proposal, result)
             with done.clock.part("references"):
                 attempt = checked(attempt, result, self._runner, done.goal, done.level)
-            attempt = _fitted(done, attempt, result)
+            try:
+                fitted, failure = _fitted(done, attempt, result), None
+            except ModelError as error:  # the reader failed: the rules alone judge this attempt, and the run ends
+                fitted, failure = _fitted(done, attempt, result, read=False), error
+            attempt = fitted
             done.attempts.append(attempt)
             done.results.append(result)
             self._tell("attempt", attempt)
-            if done.goal.met(attempt.verdict):
+            met = done.goal.met(attempt.verdict)
+            if met:
                 self._keep(attempt, done, began)
-                if self._runner.repeats and time.perf_counter() < self._ends_at:
-                    for tried, verdict in self._try_neighbours(done, attempt.index):
-                        optimizer.observe(tried, None, verdict)
+            if failure is not None:
+                raise failure
+            if met and self._runner.repeats and time.perf_counter() < self._ends_at:
+                for tried, verdict in self._try_neighbours(done, attempt.index):
+                    optimizer.observe(tried, None, verdict)
             if self._enough(done) or self._late(began, done):
                 return True
         return False

@@ -32,6 +32,7 @@ SPEED_BANDS_M_S = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # b
 COVERAGE_COLUMNS = (
     "ego", "intent", "relation", "road", "speed_from", "speed_to", "encounters", "failures", "rate", "low", "high",
 )  # fmt: skip
+RELATIONS_OF_KIND = {"pedestrian": ("crossing",), "cyclist": ("crossing", "oncoming")}  # in an encounter
 ALL_EGOS = "all"  # the key of all egos together
 IMPOSSIBLE = "oncoming", str(RoadClass.MOTORWAY)
 BANK_FILE, COVERAGE_FILE = "bank.sqlite", "coverage.csv"
@@ -129,9 +130,13 @@ def cells_of(document: Mapping[str, Any]) -> dict[CoverageCell, bool]:
 
 
 def pairs_of(library: Iterable[IntentRecord]) -> set[tuple[str, str]]:
-    """Return the pairs of an intent's label and a relation that it applies to, for the active intents of a library."""
+    """Return the pairs of an intent's label and a relation that it applies to, for the active intents of a library.
+
+    The relations are those of encounters: a pedestrian is ``crossing``, and a cyclist ``crossing`` or ``oncoming``.
+    """
     active = [record for record in library if record.status == "active"]
-    return {(record.label, relation.split("_")[0]) for record in active for relation in record.applies}
+    words = {(record.label, word.split("_")[0]) for record in active for word in record.applies}
+    return {(label, relation) for label, word in words for relation in RELATIONS_OF_KIND.get(word, (word,))}
 
 
 def make_coverage(

@@ -193,6 +193,14 @@ class Scenario(_Table):
         return self
 
     @model_validator(mode="after")
+    def _asked_of_all(self) -> Self:
+        if any(each.asked.level is not None or each.asked.within is not None for each in self.attackers):
+            raise ValueError("level and within hold for all attackers: give them in [asked], not in [attackers.asked]")
+        if self.asked is not None and self.asked.within is not None and not self.attackers:
+            raise ValueError("within in [asked] bounds the time between attackers: leave it out, or give attackers")
+        return self
+
+    @model_validator(mode="after")
     def _of_an_ego(self) -> Self:
         given = "moves" if self.moves else "sight" if self.sight else ""
         if given and self.ego.id is None and not self.ego.route:

@@ -198,11 +198,15 @@ class Author:
             wrong = str(error).replace(f"{folder}/", "")
             self._tell(f"Answer {self._tries}: {wrong}")
             return wrong
-        if self.best is None or played.worth > self.best.worth:
-            self.best = played
+        self._compare(played)
         done = (played.reached and not played.misfits) or self._questions > MAX_REQUEST_QUESTIONS - QUESTIONS_PER_DRAFT
         self._tell(f"Answer {self._tries}: {played.result}, {'fits' if not played.misfits else 'does not fit'}.")
         return None if done else _what_happened(played)
+
+    def _compare(self, played: Played) -> None:
+        """Keep a scenario as the best one if it is better than those before."""
+        if self.best is None or played.worth > self.best.worth:
+            self.best = played
 
     @property
     def _questions(self) -> int:
@@ -210,7 +214,10 @@ class Author:
         return self._tries + self._readings + len(self._invented)
 
     def _play(self, draft: Draft, scene: SceneDraft, folder: Path) -> Played:
-        """Build and run a scene; have its motion read if it reached its level and fits."""
+        """Build and run a scene; have its motion read if it reached its level and fits.
+
+        If the reader fails, the rules alone decide. If no more questions may be asked, the scenario is kept first.
+        """
         known = {canonical(e.label) for e in self._library}
         novel = set() if scene.attack.novel is None else {canonical(scene.attack.novel.label)}
         of_others = [label for other in scene.attack.others for label in other.intents if canonical(label) not in novel]
@@ -230,8 +237,15 @@ class Author:
         if played.reached and not played.misfits and self._questions < MAX_REQUEST_QUESTIONS:
             self._readings += 1
             motion = str(played.outcome["asked"]["motion"])
-            reading = read_motion(self._metered, self._prompts, motion, self._words)
-            played = Played(draft, file, played.folder, played.outcome, reading)
+            try:
+                reading = read_motion(self._metered, self._prompts, motion, self._words)
+            except BudgetError:
+                self._compare(played)
+                raise
+            except ModelError as error:
+                self._tell(f"Answer {self._tries}: the rules alone decide, because the reader failed: {error}")
+            else:
+                played = replace(played, reading=reading)
         return played
 
     def _write_planner(self, novel: NovelDraft, known: Collection[str]) -> None:

@@ -100,7 +100,9 @@ def build_scenario(scene: SceneDraft, target: Path, written: RequestOrigin, give
         text = _signals(phases, states, scene.road.lights_offset)
         stem.with_suffix(".add.xml").write_text(text, encoding="utf-8")
     elif scene.road.lights:
-        raise UsageError("The road has phases of lights and no traffic lights: give a crossing control = signals.")
+        raise UsageError(
+            "The road has phases of lights and no traffic lights on the ego's way: give a crossing control = signals."
+        )
     text = _scenario(scene, stem.name, network, written, ego_drive, start, placed, tables, lights=bool(states[0]))
     target.write_text(text, encoding="utf-8")
     return target
@@ -123,6 +125,10 @@ def _check_names(scene: SceneDraft) -> None:
             raise UsageError(f"The attack names '{name}', which is no vehicle or walker; there are {', '.join(names)}.")
     if len(set(adversaries)) < len(adversaries) or len(adversaries) > MAX_ADVERSARIES:
         raise UsageError(f"The adversary, the others and the supports are at most {MAX_ADVERSARIES}, each named once.")
+    if any(getattr(other.asked, key) is not None for other in scene.attack.others for key in OF_ALL):
+        raise UsageError("level and within hold for all attackers: give them in asked of the adversary, not of others.")
+    if scene.attack.asked.within is not None and not scene.attack.others:
+        raise UsageError("within bounds the time between several attackers: leave it out, or give others.")
 
 
 def _check_speed(kmh: float, drive: VehicleRoute, who: str) -> None:

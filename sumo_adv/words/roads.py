@@ -31,6 +31,7 @@ from sumo_adv.files import scratch_prefix
 from sumo_adv.geometry import stations
 from sumo_adv.simulation.centreline import Centreline, centreline
 from sumo_adv.simulation.inputs import data_folder, shipped_files
+from sumo_adv.simulation.network import is_left_hand
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.words.draft import RoadDraft
 
@@ -283,7 +284,8 @@ class Net:
         import sumolib
 
         try:
-            self._net = sumolib.net.readNet(str(path))
+            self._net = sumolib.net.readNet(str(path), withPrograms=True)
+            self._left_hand = is_left_hand(path)
         except Exception as error:  # sumolib raises whatever its parser raises
             raise UsageError(f"The network {path} cannot be read ({error}).") from error
 
@@ -304,6 +306,8 @@ class Net:
         if edges is None:
             raise UsageError(f"No way leads a {vclass} from edge '{route[0]}' to '{route[-1]}' (the route of {who}).")
         lanes = [each for each in start.getLanes() if each.allows(vclass)]
+        if self._left_hand:  # SUMO counts its lanes from the left
+            lanes.reverse()
         if lane >= len(lanes):
             raise UsageError(
                 f"Edge '{route[0]}' has {len(lanes)} lanes for {who}, so its lane is 0 to {len(lanes) - 1}, not {lane}."
@@ -348,27 +352,34 @@ class Net:
         return "left" if "l" in directions else "right" if "r" in directions else "straight on"
 
     def light_states(self, edges: Sequence[str], shows: str) -> dict[str, str]:
-        """Return the state of each traffic light in a phase of a draft. Left turns wait for oncoming traffic.
+        """Return the states of the traffic lights on the ego's way in a phase of a draft.
+
+        Turns across the opposite lanes wait for oncoming traffic. Pedestrian crossings have red.
 
         Args:
             edges: The ids of the edges of the ego's way.
             shows: What the phase shows, as in the draft.
 
         Returns:
-            SUMO's state string of each light.
+            SUMO's state string of each light, by its id.
         """
         states = {}
         side, _, colour = shows.partition("_")
+        across = "r" if self._left_hand else "l"
         for light in self._net.getTrafficLights():
             links = light.getConnections()
             own = [a.getEdge().getID() for a, _, _ in links if a.getEdge().getID() in edges]
-            ahead = self._facing(own[0]) if own else set()
-            letters = ["r"] * (max(k for _, _, k in links) + 1)
+            if not own:
+                continue
+            ahead = self._facing(own[0])
+            phases = [phase for program in light.getPrograms().values() for phase in program.getPhases()]
+            # sumolib does not list the links of pedestrian crossings, but SUMO's programs have a letter for them.
+            letters = ["r"] * max([k + 1 for _, _, k in links] + [len(phase.state) for phase in phases])
             for start, end, k in links:
                 if side == "all" or (side == "ego") != (start.getEdge().getID() in ahead):
                     continue
                 turns = [c.getDirection() for c in start.getOutgoing() if c.getToLane() is end]
-                letters[k] = "y" if colour == "yellow" else "g" if "l" in turns else "G"
+                letters[k] = "y" if colour == "yellow" else "g" if across in turns else "G"
             states[str(light.getID())] = "".join(letters)
         return states
 
