@@ -122,6 +122,20 @@ def test_vehicles_inside_lanes(tmp_path: Path) -> None:
     assert shares == {"states": 258, "inside": pytest.approx(182 / 258), "near_centre": 1.0}
 
 
+def test_a_vehicle_against_a_lane_is_not_inside_it(tmp_path: Path) -> None:
+    """The ego drives against the only lane for 31 steps, another vehicle along it for 60. A second lane in the ego's
+    direction takes the ego in."""
+    message = empty("against")
+    lane(message, 1, line((0.0, 0.0), (300.0, 0.0)))
+    track(message, 1, line((100.0, 0.0), (0.0, 0.0)), start=0.0, speed=10.0, seen=(0, 31))
+    track(message, 2, line((100.0, 0.0), (300.0, 0.0)), start=0.0, speed=10.0, seen=(31, 91))
+    one_way = net(tmp_path, edge("e", [(0, 0), (300, 0)]))
+    shares = {"states": 91, "inside": pytest.approx(60 / 91), "near_centre": pytest.approx(60 / 91)}
+    assert inside_lanes(record(message), one_way) == shares
+    both_ways = net(tmp_path, edge("e", [(0, 0), (300, 0)]), edge("back", [(300, 0), (0, 0)]))
+    assert inside_lanes(record(message), both_ways) == {**shares, "inside": 1.0}
+
+
 def test_the_lanes_of_a_track_on_the_record_itself() -> None:
     crossing = record(four_way())
     (whole,) = match(record_graph(crossing), crossing.tracks[0])

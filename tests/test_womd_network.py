@@ -104,6 +104,20 @@ def test_whoever_drives_over_the_line_had_green(tmp_path: Path) -> None:
     assert letters["l"] == letters["r"] == 91 * "r"
 
 
+def test_a_stop_sign_where_the_map_begins_is_kept(tmp_path: Path) -> None:
+    """Lane 2 begins at the map's rim with a stop sign, 1 m before it crosses lane 1. Half a metre of edge is left."""
+    message = samples.empty("rim")
+    samples.lane(message, 1, samples.line((-100.0, 0.0), (100.0, 0.0)))
+    samples.lane(message, 2, samples.line((0.0, -1.0), (0.0, 100.0)))
+    samples.track(message, 1, samples.line((-100.0, 0.0), (100.0, 0.0)), start=10.0, speed=10.0)
+    sign = message.map_features.add(id=3).stop_sign
+    sign.lane.append(2)
+    made, road = convert(tmp_path, message)
+    stub = road.lanes[made.pieces[2][0].sumo_lane]
+    assert stub.length == pytest.approx(0.5)
+    assert [c.state for c in stub.connections] == ["s"]
+
+
 def test_lanes_of_one_point_or_none_are_dropped_by_name(tmp_path: Path) -> None:
     made, road = convert(tmp_path, samples.one_point())
     assert made.report["dropped_lanes"] == [[2, "one point"], [4, "no points"]]

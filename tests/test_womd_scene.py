@@ -86,6 +86,39 @@ def test_parked_is_what_stands_on_no_lane(tmp_path: Path) -> None:
     assert [t.id for t in parked_vehicles(record(message), two_lanes(tmp_path))] == [11]
 
 
+def test_a_vehicle_that_was_seen_driving_or_too_briefly_is_not_parked(tmp_path: Path) -> None:
+    """All are beside the road within 1 m of one place: two are seen for 9 and for 10 steps; one has a velocity of
+    3 m/s, though its centre moves by only 0.5 m in 10 steps."""
+    message = straight()
+    for number, x, states in ((10, 150.0, 9), (11, 170.0, 10)):
+        track(message, number, line((x, -3.2), (x + 10.0, -3.2)), start=0.0, speed=0.0, seen=(80, 80 + states))
+    track(message, 12, line((190.0, -3.2), (200.0, -3.2)), start=0.0, speed=0.5, seen=(0, 10))
+    for state in message.tracks[-1].states:
+        state.velocity_x = 3.0
+    assert [t.id for t in parked_vehicles(record(message), two_lanes(tmp_path))] == [4, 11]
+
+
+def test_a_queuing_vehicle_may_have_a_heading_wrong_by_half_a_turn(tmp_path: Path) -> None:
+    """Two vehicles face against the lane: one 0.4 m from its centre queues, one 1.2 m from it is parked."""
+    message = straight()
+    track(message, 10, line((210.0, 0.4), (200.0, 0.4)), start=0.0, speed=0.0)
+    track(message, 11, line((230.0, -1.2), (220.0, -1.2)), start=0.0, speed=0.0)
+    assert [t.id for t in parked_vehicles(record(message), two_lanes(tmp_path))] == [4, 11]
+
+
+def test_a_recorded_speed_that_contradicts_the_positions_is_replaced(tmp_path: Path) -> None:
+    """The leader drives at 10 m/s. Its recorded speed is 1.6 m/s at first, 35 m/s once, and 12 m/s at step 60, which is
+    near enough to stay. At step 40, its position is 30 m off for one step, and its recorded speed stays."""
+    message = straight()
+    states = message.tracks[1].states
+    for step, speed in ((0, 1.6), (1, 1.6), (20, 35.0), (60, 12.0)):
+        states[step].velocity_x = speed
+    states[40].center_y += 30.0
+    write_scene(record(message), two_lanes(tmp_path), {}, tmp_path)
+    speed = read_tracks(tmp_path / "tracks.csv.gz").tracks["2"].speed
+    assert speed[[0, 1, 20, 40, 41, 60]] == pytest.approx([10.0, 10.0, 10.0, 10.0, 10.0, 12.0], abs=0.01)
+
+
 def test_the_scenario_of_the_straight_road(tmp_path: Path) -> None:
     recorded, roads = record(straight()), two_lanes(tmp_path)
     graph = net_graph(roads)

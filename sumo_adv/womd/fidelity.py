@@ -16,7 +16,15 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import write_whole
 from sumo_adv.womd.lines import MAX_CONNECTION_GAP_M, LineSegments, line_stations, resample
-from sumo_adv.womd.matching import LaneGraph, MatchedStretch, SumoNet, match, net_graph, record_graph
+from sumo_adv.womd.matching import (
+    MAX_MATCH_ANGLE_RAD,
+    LaneGraph,
+    MatchedStretch,
+    SumoNet,
+    match,
+    net_graph,
+    record_graph,
+)
 from sumo_adv.womd.record import BIKE, VEHICLE, ObjectTrack, Record
 from sumo_adv.womd.scene import Router
 
@@ -41,9 +49,9 @@ FIDELITY_COLUMNS = (
 )  # fmt: skip
 LEGEND = """\
 km of lanes, the share kept in SUMO, shares of samples so near to a SUMO lane, 99th percentile; connections and signal
-lanes kept; logged moving vehicles inside a SUMO lane, within 1.75 m of a centre line of the record; tracks whose lanes
-break in SUMO / in the record / driven; lane length inside junctions; random traffic: vehicles, collisions, teleports;
-seconds to the network."""
+lanes kept; logged moving vehicles inside a SUMO lane, within 1.75 m of a centre line of the record, both of their
+direction; tracks whose lanes break in SUMO / in the record / driven; lane length inside junctions; random traffic:
+vehicles, collisions, teleports; seconds to the network."""
 Report = Mapping[str, Any]
 
 
@@ -228,33 +236,37 @@ def _signals(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[LanePie
 
 
 def inside_lanes(record: Record, net: SumoNet) -> dict[str, float]:
-    """Return how many logged positions of moving vehicles lie in lanes.
+    """Return how many logged positions of moving vehicles lie in lanes of their direction.
+
+    A lane has a vehicle's direction if the vehicle's heading is within ``MAX_MATCH_ANGLE_RAD`` of it.
 
     Returns:
         The number of ``states``, the share ``inside`` a SUMO lane, and the share ``near_centre``, within 1.75 m of a
         centre line of the record.
     """
-    xy = _moving(record)
+    xy, heading = _moving(record)
     if not len(xy):
         return {"states": 0, "inside": 1.0, "near_centre": 1.0}
     cars = {n: lane for n, lane in net.lanes.items() if lane.cars}
     half = np.array([lane.width / 2 for lane in cars.values()])
     lines = {i: p for i, p in kept_lanes(record).items() if record.lanes[i].kind != BIKE}
-    near = LineSegments(lines).near(xy, HALF_LANE_WIDTH_M).least(len(xy), MAX_LANE_DEVIATION_M) <= HALF_LANE_WIDTH_M
-    inside = np.zeros(len(xy), bool)
-    hits = LineSegments({n: lane.shape for n, lane in cars.items()}).near(xy, float(half.max(initial=0.0)))
-    inside[hits.point[hits.distance <= half[hits.line]]] = True
+    near, inside = np.zeros(len(xy), bool), np.zeros(len(xy), bool)
+    hits = LineSegments(lines).near(xy, HALF_LANE_WIDTH_M, heading)
+    near[hits.point[hits.turned < MAX_MATCH_ANGLE_RAD]] = True
+    hits = LineSegments({n: lane.shape for n, lane in cars.items()}).near(xy, float(half.max(initial=0.0)), heading)
+    inside[hits.point[(hits.distance <= half[hits.line]) & (hits.turned < MAX_MATCH_ANGLE_RAD)]] = True
     return {"states": len(xy), "inside": float(inside.mean()), "near_centre": float(near.mean())}
 
 
-def _moving(record: Record) -> Floats:
-    """Return the centres ``(n, 2)`` [m] of all valid states of vehicles that move."""
-    parts = [np.empty((0, 2))]
+def _moving(record: Record) -> tuple[Floats, Floats]:
+    """Return the centres ``(n, 2)`` [m] and headings ``(n,)`` [rad] of all valid states of vehicles that move."""
+    parts, headings = [np.empty((0, 2))], [np.empty(0)]
     for t in record.tracks:
         if t.kind == VEHICLE:
             moving = t.valid & (np.hypot(t.vx, t.vy) > MIN_LOGGED_SPEED_M_S)
             parts.append(np.stack([t.x[moving], t.y[moving]], axis=1))
-    return np.concatenate(parts)
+            headings.append(t.heading[moving])
+    return np.concatenate(parts), np.concatenate(headings)
 
 
 def _routes(

@@ -11,7 +11,9 @@ from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
 from sumo_adv.simulation.scenario import NETWORK_FILE, ROUTES_FILE, SCENARIO_FILE, TRACKS_FILE
@@ -23,8 +25,13 @@ from sumo_adv.womd.record import RECORD_STEP_S, TRACK_KINDS, VEHICLE, ObjectTrac
 WOMD_ROUTE_EXTENSION_M = 300.0  # by which a route is extended beyond the log, if the network allows
 _STRAIGHTEST = "slrLRt"  # SUMO's letters of direction, in order of preference
 MAX_PARKED_MOTION_M = 1.0  # maximum apparent motion of a parked vehicle
+MAX_PARKED_SPEED_M_S = 0.5  # maximum median speed of a parked vehicle; a standing one has apparent speeds, too
+MIN_PARKED_STATES = 10  # a vehicle with fewer valid states (less than 1 s) may have been driving
 MAX_QUEUE_OFFSET_M = 1.5  # a standing vehicle this near to a lane's centre line queues rather than parks
 MAX_QUEUE_ANGLE_RAD = 0.52  # maximum angle between a queuing vehicle and the lane
+MAX_FLIPPED_OFFSET_M = 1.0  # this near to a centre line, a heading against the lane is taken for a flipped one
+MAX_SPEED_ERROR_M_S = 2.5  # a recorded speed that differs more from the positions is wrong
+SPEED_CHECK_STEPS = 5  # steps around a state of which the median counts; odd, so that jumps to and fro cancel
 CROSSWALKS = "crosswalks.add.xml"
 
 
@@ -149,7 +156,11 @@ def _write_xml(path: Path, tag: str, lines: Iterable[str]) -> None:
 
 
 def parked_vehicles(record: Record, net: SumoNet) -> list[ObjectTrack]:
-    """Return the vehicles that never move and stand on no lane, without the ego."""
+    """Return the vehicles that never move and stand on no lane, without the ego.
+
+    A vehicle with its heading along a lane, or against it and closer to the lane's centre, stands on the lane. Records
+    contain headings that are wrong by half a turn.
+    """
     standing = [
         t for i, t in enumerate(record.tracks)
         if i != record.sdc and t.kind == VEHICLE and t.valid.any() and _stands(t)
@@ -159,14 +170,19 @@ def parked_vehicles(record: Record, net: SumoNet) -> list[ObjectTrack]:
     poses = np.array([_pose(t)[:3] for t in standing])
     lanes = LineSegments({name: lane.shape for name, lane in net.lanes.items() if lane.cars})
     hits = lanes.near(poses[:, :2], MAX_QUEUE_OFFSET_M, poses[:, 2])
-    queued = set(hits.point[hits.turned < MAX_QUEUE_ANGLE_RAD].tolist())
+    flipped = (np.pi - hits.turned < MAX_QUEUE_ANGLE_RAD) & (hits.distance < MAX_FLIPPED_OFFSET_M)
+    queued = set(hits.point[(hits.turned < MAX_QUEUE_ANGLE_RAD) | flipped].tolist())
     return [t for i, t in enumerate(standing) if i not in queued]
 
 
 def _stands(track: ObjectTrack) -> bool:
-    """Return whether an object never moves."""
-    x, y = track.x[track.valid], track.y[track.valid]
-    return float(np.hypot(x - x[0], y - y[0]).max()) <= MAX_PARKED_MOTION_M
+    """Return whether an object never moves, and is seen for long enough to tell."""
+    keep = track.valid
+    if np.count_nonzero(keep) < MIN_PARKED_STATES:
+        return False
+    x, y = track.x[keep], track.y[keep]
+    speed = float(np.median(np.hypot(track.vx[keep], track.vy[keep])))
+    return float(np.hypot(x - x[0], y - y[0]).max()) <= MAX_PARKED_MOTION_M and speed < MAX_PARKED_SPEED_M_S
 
 
 def _pose(track: ObjectTrack) -> tuple[float, float, float, float, float]:
@@ -184,8 +200,27 @@ def _logged(track: ObjectTrack) -> LoggedTrack:
     *_, length, width = _pose(track)
     return LoggedTrack(
         id=str(track.id), kind=kind if kind in OBJECT_KINDS else "other", valid=track.valid, x=track.x, y=track.y,
-        heading=wrap(track.heading), speed=np.hypot(track.vx, track.vy), length=length, width=width,
+        heading=wrap(track.heading), speed=_speeds(track), length=length, width=width,
     )  # fmt: skip
+
+
+def _speeds(track: ObjectTrack) -> Floats:
+    """Return the speeds [m/s], from the positions where the recorded velocity contradicts them.
+
+    The velocities of a newly seen object, and single ones later, are often wrong. So are some positions. The median
+    over the steps around a state is not affected by one wrong position. A track of fewer steps is not compared.
+    """
+    speed = np.hypot(track.vx, track.vy)
+    valid = np.flatnonzero(track.valid)
+    if len(valid) <= SPEED_CHECK_STEPS:
+        return speed
+    velocities = np.diff(np.stack([track.x[valid], track.y[valid]]), axis=1) / (RECORD_STEP_S * np.diff(valid))
+    windows = np.median(sliding_window_view(velocities, SPEED_CHECK_STEPS, axis=1), axis=2)
+    around = np.clip(np.arange(len(valid)) - SPEED_CHECK_STEPS // 2, 0, windows.shape[1] - 1)
+    motion = np.hypot(*windows[:, around])
+    wrong = np.abs(motion - speed[valid]) > MAX_SPEED_ERROR_M_S
+    speed[valid[wrong]] = motion[wrong]
+    return speed
 
 
 def _routes(

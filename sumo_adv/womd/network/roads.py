@@ -287,7 +287,9 @@ def _link(
         strand = layout.strands.all[number]
         a, b = layout.spans.of[number][k]
         parts.append(part(strand.points, strand.along, a, b))
-        lanes += [run.lane for run in strand.runs if run.lane_start == 0.0 and a - 1e-6 <= run.start < b]
+        # After the stub of a strand that begins at the map's rim, the lane at the strand's beginning counts, too.
+        first = 0.0 if a == layout.spans.bounds[number][0] else a - 1e-6
+        lanes += [run.lane for run in strand.runs if run.lane_start == 0.0 and first <= run.start < b]
     line = joined_line(parts)
     shape = line[:, :2]
     before, after = edges[source].lanes[from_lane], edges[target].lanes[to_lane]
