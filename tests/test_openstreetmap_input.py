@@ -153,6 +153,9 @@ CLOCKWISE = (1, 4, 3, 5, 1)  # west, north, east, south
         ((roundabout(13, CLOCKWISE[:4]),), True),  # turns right twice, by 90 degrees in metres
         ((roundabout(13, CLOCKWISE[:2]),), None), ((way(13, CLOCKWISE, CROSSING),), None),
         ((roundabout(13, CLOCKWISE), country(RIGHT)), False),
+        ((way(13, (1, 4), {**CROSSING, **RIGHT}), roundabout(14, CLOCKWISE)), True),  # the way is an exception
+        ((roundabout(13, CLOCKWISE), roundabout(14, CLOCKWISE[::-1])), None),
+        ((*(roundabout(k, CLOCKWISE) for k in (13, 14)), roundabout(15, CLOCKWISE[::-1])), True),
     ],
 )  # fmt: skip
 def test_countries_then_roads_and_roundabouts_tell_the_side(
@@ -164,8 +167,8 @@ def test_countries_then_roads_and_roundabouts_tell_the_side(
 
 
 def test_roads_of_two_sides_are_refused(tmp_path: Path) -> None:
-    parts = way(13, (1, 4), {**CROSSING, **RIGHT}), roundabout(14, CLOCKWISE)
-    with pytest.raises(UsageError, match="by the roundabout way 14, it drives on the left, by way 13 on the right"):
+    parts = way(13, (1, 4), {**CROSSING, **RIGHT}), way(14, (4, 3), {**CROSSING, **LEFT})
+    with pytest.raises(UsageError, match="by way 14, it drives on the left, by way 13 on the right"):
         converted(tmp_path, nodes(), *WAYS, *parts)
 
 

@@ -97,13 +97,12 @@ def read_openstreetmap(path: Path) -> MapContent:
         elif runs[0] != slice(0, len(along)):
             lost["way cut where nodes are missing"] += 1
     roads = sum(not kind.startswith("railway") for kind in kinds.values())
-    if not ruled.known:
-        _add_roundabouts(path, roundabouts, driven)
+    turned = 0 if ruled.known else _turned_left(path, roundabouts)
     sides = ruled if ruled.known else driven
-    left_hand = sides.is_left(path)
+    left_hand = turned < 0 if turned else sides.is_left(path)
     write = partial(_write, path, known, left_hand)
     missing = {kind: number for kind, number in lost.items() if number}
-    return MapContent(kinds, roads, left_hand, missing, write, says_side=sides.known)
+    return MapContent(kinds, roads, left_hand, missing, write, says_side=bool(turned) or sides.known)
 
 
 def _elements(path: Path) -> Iterator[Element]:
@@ -175,25 +174,29 @@ class _Sides:
         if self._left and self._right:
             raise UsageError(
                 f"{path} has traffic on both sides: by {self._left[0]}, it drives on the left, by {self._right[0]} on "
-                "the right. SUMO has one side for all; correct driving_side or the direction of the roundabout, or "
-                "split the map."
+                "the right. SUMO has one side for all; correct driving_side, or split the map."
             )
         return bool(self._left)
 
 
-def _add_roundabouts(path: Path, roundabouts: Mapping[str, Sequence[str]], sides: _Sides) -> None:
-    """Note the sides of roundabouts, which go clockwise in left-hand traffic."""
+def _turned_left(path: Path, roundabouts: Mapping[str, Sequence[str]]) -> int:
+    """Return how many roundabouts turn left, as in right-hand traffic, less those that turn right.
+
+    A single one may be drawn the wrong way round, so the majority tells the side.
+    """
     wanted = {node for nodes in roundabouts.values() for node in nodes}
     places: dict[str, tuple[float, float]] = {}
     for element in _elements(path) if wanted else ():
         for name, lat, lon in (each for each in _placed(element) if each[0] in wanted):
             with contextlib.suppress(ValueError):  # no numbers, which netconvert refuses
                 places[name] = float(lon) * math.cos(math.radians(float(lat))), float(lat)
-    for name, nodes in roundabouts.items():
+    count = 0
+    for nodes in roundabouts.values():
         closed = len(nodes) > 2 and nodes[0] == nodes[-1]
         turn = _turn([places[node] for node in (*nodes, *nodes[1 : 1 + closed]) if node in places])
         if abs(turn) >= MIN_ROUNDABOUT_TURN_RAD:
-            sides.add(f"the roundabout way {name}", "left" if turn < 0.0 else "right")
+            count += 1 if turn > 0.0 else -1
+    return count
 
 
 def _turn(points: Sequence[tuple[float, float]]) -> float:
