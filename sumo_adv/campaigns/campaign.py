@@ -246,7 +246,7 @@ def _workers(setup: WorkerSetup, orders: Orders, scratch: Path, store: Store, st
 
 
 def _taught(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, Row]) -> set[str]:
-    """Read the ids of the episodes whose lessons are in the bank. Raise UsageError if the file is damaged.
+    """Read the ids of the episodes that have taught the bank. Raise UsageError if the file is damaged.
 
     An earlier version kept no ids. The lessons of all episodes that are finished now count as taught then.
     """
@@ -306,7 +306,7 @@ def _teach(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, 
 
 
 def _mark_taught(store: Store, orders: Orders, written: int, taught: set[str]) -> None:
-    """Record the episodes whose lessons are in the bank."""
+    """Record the episodes that have taught the bank."""
     marked = {"written": written, "bank": str(orders.bank), "episodes": sorted(taught)}
     with sentences(orders.out):
         write_text(store.folder / TAUGHT_FILE, json.dumps(marked) + "\n")

@@ -286,10 +286,9 @@ class Refiner:
             with done.clock.part("references"):
                 attempt = checked(attempt, result, self._runner, done.goal, done.level)
             try:
-                fitted, failure = _fitted(done, attempt, result), None
+                attempt, failure = _fitted(done, attempt, result), None
             except ModelError as error:  # the reader failed: the rules alone judge this attempt, and the run ends
-                fitted, failure = _fitted(done, attempt, result, read=False), error
-            attempt = fitted
+                attempt, failure = _fitted(done, attempt, result, read=False), error
             done.attempts.append(attempt)
             done.results.append(result)
             self._tell("attempt", attempt)

@@ -24,7 +24,7 @@ from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES
 from sumo_adv.simulation.programs import load_libsumo
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
-ENDED_ITSELF = 86  # exit code of a fork whose episode is over; a driver that ends the process rarely has it
+ENDED_ITSELF = 86  # exit code of a fork after its episode; a driver that ends the process rarely has it
 OWN_VARIABLES = {*SINGLE_THREAD_VARIABLES, "TMPDIR"}  # kept by the engine process, whatever its front has
 
 

@@ -30,7 +30,7 @@ from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import is_storage_error, scratch_prefix
 from sumo_adv.metrics.contact import first_other_contact
-from sumo_adv.metrics.severity import is_near_touch
+from sumo_adv.metrics.severity import NEAR_TOUCH_DELTA_V_M_S, is_near_touch
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.regression.attack import Arrived, attack
@@ -41,7 +41,7 @@ from sumo_adv.simulation.tracks import tracks_of
 
 NO_CONCERN_TTC_S = 4.0  # larger TTCs are no danger to a driver (Minderhoud and Bovy 2001), so they are not compared
 TTC_TOLERANCE_S = 0.1  # a step of the simulation; a smaller loss of TTC is not worse
-DELTA_V_TOLERANCE_M_S = 0.447  # 1 mph, the bound of negligible severity; a smaller increase of delta-v is not worse
+DELTA_V_TOLERANCE_M_S = NEAR_TOUCH_DELTA_V_M_S  # a smaller increase of delta-v is not worse
 CONCERN_DISTANCE_M, CONCERN_TTC_S = (
     5.0,
     3.0,
@@ -83,7 +83,7 @@ class CaseMeasurements:
         delta_v: The ego's delta-v [m/s].
         severity: The severity by the verdict.
         impact_speed: The speed at which a pedestrian, a cyclist or a motorcyclist is hit [m/s].
-        fault: Who is at fault for the contact: ``ego`` or ``adversary``.
+        fault: The party at fault for the contact: ``ego`` or ``adversary``.
         contact_time: The time of the contact [s].
         preventable_by: The reference drivers that avoid the collision.
         touched: Another vehicle or object that the ego ran into, in any attempt.
@@ -214,7 +214,7 @@ def _broken_expectation(expect: Expectation, m: CaseMeasurements, before: CaseMe
 
 
 def _contact(m: CaseMeasurements) -> str:
-    """Say in brackets whether a contact is a near-touch, and who is at fault; empty without a contact."""
+    """Say in brackets whether a contact is a near-touch, and which party is at fault; empty without a contact."""
     if not m.collided:
         return ""
     near = m.delta_v is not None and is_near_touch(m.delta_v, m.impact_speed)
