@@ -177,7 +177,8 @@ def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Flo
 def stays_on_road(poses: Boxes, clear: Bools, on_road: OnRoad, dt: float) -> Bools:
     """Check that shifts keep the box's corners on the road until 0.5 s after the shift is complete.
 
-    Only shifts that matter are checked: those that touch no vehicle although every braking alone with the same delay does.
+    Only shifts that matter are checked: those that touch no vehicle although every braking alone with the same delay
+    does.
 
     Args:
         poses: The ego in each manoeuvre of ``TABLE``, ``(len(TABLE), N, steps + 1)``.
